@@ -1,0 +1,71 @@
+# Everything a reader or a developer does with this project; `make help` lists it.
+
+PYTHON ?= $(shell command -v python3.11 || command -v python3)
+PROFILE ?= full
+RESULTS ?=
+TORCH_INDEX ?=
+
+VENV := .venv
+RUN := $(VENV)/bin/python -m
+READY := $(VENV)/ready
+TORCH := $(shell sed -n 's/^ *"\(torch==[^"]*\)".*/\1/p' pyproject.toml)
+RESULTS_OPTION := $(if $(RESULTS),--results $(RESULTS))
+PARAMS_FILE = params/$(if $(filter-out full,$(PROFILE)),$(PROFILE)/)$(EXPERIMENT).yaml
+
+.DEFAULT_GOAL := help
+.PHONY: help report lab test check format train experiments status lock clean
+
+help: ## list what can be made
+	@sed -n 's/^\([a-z]*\):[^#]*## \(.*\)/  make \1|\2/p' $(MAKEFILE_LIST) | column -t -s '|'
+	@echo
+	@echo "  PROFILE=quick       small runs of everything, trained from scratch (report, train)"
+	@echo "  RESULTS=folder      where results are kept instead of results/"
+	@echo "  TORCH_INDEX=address the package index to install torch from, such as one of CPU builds"
+
+# torch is not in the lock: its builds for CPUs and GPUs differ in their hashes and dependencies.
+$(READY): environment.lock pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
+	  || { echo "Python 3.11 or newer is needed; choose one with make PYTHON=..."; exit 1; }
+	$(PYTHON) -m venv $(VENV)
+	$(RUN) pip install --quiet --require-hashes --requirement environment.lock
+	$(RUN) pip install --quiet $(TORCH) $(if $(TORCH_INDEX),--index-url $(TORCH_INDEX))
+	$(RUN) pip install --quiet --no-deps --no-build-isolation --editable .
+	@touch $@
+
+report: $(READY) ## build results/report/index.html and report.pdf from the stored runs
+	$(RUN) atari_dqn report --profile $(PROFILE) $(RESULTS_OPTION)
+
+lab: $(READY) ## explore in JupyterLab
+	$(VENV)/bin/jupyter lab notebooks
+
+train: $(READY) ## train one run: EXPERIMENT=boxing_final AGENT=double_dqn SEED=1
+	$(if $(EXPERIMENT),,$(error say which: make train EXPERIMENT=boxing_final AGENT=dqn SEED=1))
+	$(RUN) atari_dqn train $(PARAMS_FILE) $(if $(AGENT),--agent $(AGENT)) \
+	  $(if $(SEED),--seed $(SEED)) $(RESULTS_OPTION)
+
+experiments: $(READY) ## train every run that is missing or interrupted (hours to days)
+	$(RUN) atari_dqn experiments run $(RESULTS_OPTION)
+
+status: $(READY) ## show every run of every experiment
+	$(RUN) atari_dqn experiments status $(RESULTS_OPTION)
+
+test: $(READY) ## run the tests
+	$(RUN) pytest -n 2
+
+check: $(READY) ## run the linter and the formatter's check
+	$(RUN) ruff check .
+	$(RUN) ruff format --check .
+
+format: $(READY) ## format the code
+	$(RUN) ruff check --fix .
+	$(RUN) ruff format .
+
+lock: $(READY) ## renew environment.lock from pyproject.toml
+	$(VENV)/bin/uv pip compile pyproject.toml --quiet --extra dev --universal \
+	  --python-version 3.11 --generate-hashes --no-emit-package torch --no-annotate --no-header \
+	  --no-emit-index-url --no-emit-find-links --upgrade --output-file environment.lock
+
+clean: ## remove everything that can be made again; stored runs and checkpoints stay
+	rm -rf $(VENV) results/notebooks results/report results/quick results/smoke
+	rm -rf .pytest_cache .ruff_cache .hypothesis
+	find src tests benchmarks -name __pycache__ -prune -exec rm -rf {} +

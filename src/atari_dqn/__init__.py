@@ -1,0 +1,7 @@
+"""Deep Q-Networks on Atari Boxing and Breakout: a reproducible study.
+
+Modules import only downwards, in this order:
+
+params -> envs, networks, replay -> agents, exploration -> training -> checkpoints
+-> evaluation -> runs -> experiments -> statistics, plots, report -> __main__
+"""

@@ -1,0 +1,294 @@
+"""The games: an Atari cartridge as a Gymnasium environment, and several of them stepped in turn.
+
+`AtariGame` does in one class what `gymnasium.wrappers.AtariPreprocessing` does around
+`ale_py.AtariEnv` (tests/test_envs.py compares the two pixel by pixel). It exists because the whole
+state of a game must be savable at any moment, because the score must be that of the whole game,
+and because it is over twice as fast.
+
+What an agent sees of 12 emulator frames, with frame_skip 4 and frame_stack 3:
+
+    frame        1  2  3  4  5  6  7  8  9 10 11 12
+    action       a  a  a  a  b  b  b  b  c  c  c  c      held for 4 frames
+    image              max(3,4)    max(7,8)  max(11,12)  grey, 84x84; undoes sprite flicker
+    observation                              [4, 8, 12]  the last 3 images, oldest first
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import gymnasium
+import numpy as np
+from ale_py import ALEInterface, ALEState, LoggerMode, roms
+
+from atari_dqn.params import Parameters
+
+SIZE = 84  # pixels; the side of the square image that the networks see
+FIRE = 1  # index of FIRE among the actions of both games
+
+ALEInterface.setLoggerMode(LoggerMode.Error)
+cv2.setNumThreads(1)
+
+
+@dataclass(frozen=True)
+class GameFacts:
+    """What is known of a cartridge.
+
+    The human and random mean scores are those of `dqn_zoo/atari_data.py` (Quan and Ostrovski,
+    2020), which Schwarzer et al. (2023) use too.
+    """
+
+    title: str
+    human: float  # points, mean of a professional tester
+    random: float  # points, mean of uniformly random play
+    limit: int  # points, the most a game can give
+    wins_at: int  # points from which a game is won
+    fire_to_serve: bool  # FIRE brings the ball into play, at the start and after every lost life
+    knockout_cells: tuple[int, int] | None  # RAM cells that read 0xC0 when the agent, or its
+    # rival, has knocked the other out
+
+
+GAMES = {
+    "boxing": GameFacts("Boxing", 12.1, 0.1, 100, 1, False, (18, 19)),
+    "breakout": GameFacts("Breakout", 30.5, 1.7, 864, 864, True, None),
+}
+
+
+class AtariGame(gymnasium.Env):
+    """One cartridge in one emulator, preprocessed as in Mnih et al. (2015), Methods.
+
+    Observation: uint8 [84, 84], the newest image only (stacking is the caller's, who keeps each
+    image once). Action: index into the cartridge's minimal action set. Reward: raw game points.
+    `terminated`: the game is over. `truncated`: it was cut after `max_game_frames`.
+
+    A game starts with 0 to `noop_max` idle frames, as Gymnasium's wrapper draws them. Where the
+    ball must be served, FIRE is pressed for the agent at the start and within the step that loses
+    a life, so that a greedy agent cannot stall for ever.
+
+    Raises ValueError if `difficulty` is one that the cartridge does not have.
+    """
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 60}  # noqa: RUF012 (Gymnasium's)
+    render_mode = "rgb_array"
+
+    def __init__(
+        self,
+        game: str,
+        *,
+        frame_skip: int = 4,
+        noop_max: int = 30,
+        sticky_actions: float = 0.0,
+        difficulty: int = 0,
+        max_game_frames: int = 108_000,
+    ):
+        self.game, self.facts = game, GAMES[game]
+        self.frame_skip, self.noop_max = frame_skip, noop_max
+        self.difficulty, self.max_game_frames = difficulty, max_game_frames
+        self.ale = ALEInterface()
+        self.ale.setFloat("repeat_action_probability", sticky_actions)
+        self._seed_emulator(0)
+        if difficulty not in self.ale.getAvailableDifficulties():
+            raise ValueError(f"{game} has no difficulty {difficulty}")
+        self.actions = self.ale.getMinimalActionSet()
+        self.action_space = gymnasium.spaces.Discrete(len(self.actions))
+        self.observation_space = gymnasium.spaces.Box(0, 255, (SIZE, SIZE), np.uint8)
+        self._screens = np.zeros((2, 210, 160), np.uint8)  # the two frames that are maximised
+        self.score, self.frames, self.length, self.lives = 0.0, 0, 0, 0
+
+    def _seed_emulator(self, seed: int) -> None:
+        self.ale.setInt("random_seed", seed)
+        self.ale.loadROM(roms.get_rom_path(self.game))  # the seed takes effect here
+        self.ale.setDifficulty(self.difficulty)
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
+        """Starts a game. Returns (image uint8 [84, 84], info)."""
+        if seed is not None:  # as ale_py.AtariEnv derives its two seeds from one
+            np_seed, ale_seed = np.random.SeedSequence(seed).generate_state(2)
+            super().reset(seed=int(np_seed))
+            self._seed_emulator(int(ale_seed.astype(np.int32)))
+        self.ale.reset_game()
+        self.score, self.frames, self.length = 0.0, 0, 0
+        idle = self.np_random.integers(1, self.noop_max + 1) if self.noop_max else 0
+        for _ in range(idle):
+            self._act(0)
+        if self.facts.fire_to_serve:
+            self._serve()
+        self.lives = self.ale.lives()
+        self.ale.getScreenGrayscale(self._screens[0])
+        return self._image(self._screens[0]), {"lives": self.lives}
+
+    def step(self, action: int):
+        """Holds an action for `frame_skip` frames.
+
+        Returns (image uint8 [84, 84], raw reward, terminated, truncated, info); info["life_lost"]
+        tells whether a life was lost in this step.
+        """
+        reward, older, newest = 0.0, self._screens[1], self._screens[0]
+        pooled = False
+        for frame in range(self.frame_skip):
+            reward += self._act(action)
+            if self.ale.game_over():
+                break
+            if frame == self.frame_skip - 2:
+                self.ale.getScreenGrayscale(older)
+                pooled = True
+        self.length += 1
+        terminated = self.ale.game_over()
+        lives, self.lives = self.lives, self.ale.lives()
+        life_lost = self.lives < lives
+        if life_lost and self.facts.fire_to_serve and not terminated:
+            reward += self._serve()
+            pooled = False  # the older screen is from before the serve
+        self.ale.getScreenGrayscale(newest)
+        if pooled:
+            np.maximum(older, newest, out=newest)
+        truncated = not terminated and self.frames >= self.max_game_frames
+        info = {"lives": self.lives, "life_lost": life_lost}
+        return self._image(newest), reward, terminated, truncated, info
+
+    def render(self) -> np.ndarray:
+        """The television's picture, uint8 [210, 160, 3]."""
+        return self.ale.getScreenRGB()
+
+    def ram(self) -> np.ndarray:
+        """The console's memory, uint8 [128]."""
+        return self.ale.getRAM()
+
+    def knockout(self) -> int:
+        """1 if the agent has knocked its rival out, -1 if it was knocked out itself, else 0."""
+        if self.facts.knockout_cells is None:
+            return 0
+        agent, rival = (self.ram()[cell] == 0xC0 for cell in self.facts.knockout_cells)
+        return int(agent) - int(rival)
+
+    def _act(self, action: int) -> float:
+        reward = self.ale.act(self.actions[action])
+        self.score += reward
+        self.frames += 1
+        return reward
+
+    def _serve(self) -> float:
+        return sum(self._act(FIRE) for _ in range(self.frame_skip))
+
+    @staticmethod
+    def _image(screen: np.ndarray) -> np.ndarray:
+        return cv2.resize(screen, (SIZE, SIZE), interpolation=cv2.INTER_AREA)
+
+    def get_state(self) -> dict[str, Any]:
+        """Everything that decides how the game goes on; bytes under "emulator", the rest JSON.
+
+        The screen is not part of it: after `set_state` it is stale until the next `step`, so the
+        caller keeps the images it has been given.
+        """
+        return {
+            "emulator": self.ale.cloneState(include_rng=True).serialize(),
+            "rng": self.np_random.bit_generator.state,
+            "score": self.score,
+            "frames": self.frames,
+            "length": self.length,
+            "lives": self.lives,
+        }
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Restores what `get_state` returned, in a game of the same cartridge and settings."""
+        emulator = ALEState.__new__(ALEState)
+        emulator.__setstate__(state["emulator"])
+        self.ale.restoreState(emulator)
+        self.np_random.bit_generator.state = state["rng"]
+        self.score, self.frames = state["score"], state["frames"]
+        self.length, self.lives = state["length"], state["lives"]
+
+
+@dataclass(frozen=True)
+class FinishedGame:
+    """A whole game, from the first frame to the last."""
+
+    score: float  # points, raw and unclipped
+    length: int  # agent steps
+    frames: int  # emulator frames, idle and serving ones included
+
+
+@dataclass(frozen=True)
+class VectorStep:
+    """What one step of every game gave; arrays are [environments]."""
+
+    images: np.ndarray  # uint8 [E, 84*84], the newest image
+    ages: np.ndarray  # int32, agent steps since the game began; 0 = this step began it
+    rewards: np.ndarray  # float32, what is learned from: clipped, less the life-loss penalty
+    terminated: np.ndarray  # bool, the game is over (not merely cut)
+    finished: list[FinishedGame]
+
+
+class LockstepGames:
+    """Several games stepped in turn, so that one forward pass selects all their actions.
+
+    A game that ended restarts in the next step, whose action it ignores (Gymnasium's next-step
+    autoreset): that step has age 0, and must never be learned from.
+    """
+
+    def __init__(self, params: Parameters, seed: np.random.SeedSequence):
+        self.params = params
+        self.games = [
+            AtariGame(
+                params.game,
+                frame_skip=params.frame_skip,
+                noop_max=params.noop_max,
+                sticky_actions=params.sticky_actions,
+                difficulty=params.difficulty,
+                max_game_frames=params.max_game_frames,
+            )
+            for _ in range(params.environments)
+        ]
+        self.actions = len(self.games[0].actions)
+        # The last `frame_stack` images of every game, oldest first. Planes, since the newest are
+        # the replay memory's and one call interleaves them into observations.
+        self.planes = np.zeros((params.frame_stack, len(self.games), SIZE * SIZE), np.uint8)
+        self.ended = np.zeros(len(self.games), bool)
+        seeds = seed.generate_state(len(self.games))
+        for index, game in enumerate(self.games):
+            self.planes[:, index] = game.reset(seed=int(seeds[index]))[0].reshape(-1)
+
+    def observations(self) -> np.ndarray:
+        """uint8 [E, 84, 84, frame_stack], the newest image last."""
+        return interleave(self.planes)
+
+    def step(self, actions: np.ndarray) -> VectorStep:
+        """Steps every game by its action (int [E])."""
+        count = len(self.games)
+        rewards, terminated = np.zeros(count, np.float32), np.zeros(count, bool)
+        self.planes[:-1] = self.planes[1:]
+        finished = []
+        for index, game in enumerate(self.games):
+            if self.ended[index]:
+                self.planes[:, index] = game.reset()[0].reshape(-1)
+                self.ended[index] = False
+                continue
+            image, raw, terminated[index], truncated, info = game.step(int(actions[index]))
+            self.planes[-1, index] = image.reshape(-1)
+            rewards[index] = np.sign(raw) if self.params.clip_rewards else raw
+            rewards[index] -= self.params.life_loss_penalty * info["life_lost"]
+            if terminated[index] or truncated:
+                self.ended[index] = True
+                finished.append(FinishedGame(game.score, game.length, game.frames))
+        ages = np.array([game.length for game in self.games], np.int32)
+        return VectorStep(self.planes[-1], ages, rewards, terminated, finished)
+
+    def get_state(self) -> dict[str, Any]:
+        return {
+            "games": [game.get_state() for game in self.games],
+            "planes": self.planes,
+            "ended": self.ended,
+        }
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        for game, saved in zip(self.games, state["games"], strict=True):
+            game.set_state(saved)
+        self.planes[:] = state["planes"]
+        self.ended[:] = state["ended"]
+
+
+def interleave(planes: np.ndarray) -> np.ndarray:
+    """Images [stack, N, 84*84] to observations [N, 84, 84, stack], in one vectorised pass."""
+    stack, count, _ = planes.shape
+    merged = cv2.merge(planes.reshape(stack, count * SIZE, SIZE))
+    return merged.reshape(count, SIZE, SIZE, stack)

@@ -1,0 +1,158 @@
+"""Playing whole games with a finished agent: greedy evaluation, and films of it.
+
+Everything here plays the published model, `model.safetensors` (float16), so that what is shown is
+what anyone can reproduce from the repository.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import av
+import numpy as np
+import torch
+from safetensors.torch import load_file, save_file
+from torch import nn
+
+from atari_dqn.agents import AGENTS, torch_device
+from atari_dqn.envs import SIZE, AtariGame, interleave
+from atari_dqn.exploration import epsilon_greedy
+from atari_dqn.params import Parameters
+
+EMULATORS = 8  # games played at once
+
+
+@dataclass(frozen=True)
+class PlayedGame:
+    """One evaluation game, a row of evaluations.csv."""
+
+    game: int  # 0, 1, ...; decides the game's random seeds
+    score: float  # points, raw and unclipped
+    length: int  # agent steps
+    frames: int  # emulator frames
+    won: bool
+    knockout: int  # 1 given, -1 received, 0 neither
+    difficulty: int
+    sticky_actions: float  # probability a frame
+    epsilon: float  # probability of a random action
+    seed: int
+
+
+def save_model(network: nn.Module, path: Path, metadata: dict[str, str]) -> None:
+    """Writes the weights as float16."""
+    weights = {name: value.half().contiguous() for name, value in network.state_dict().items()}
+    save_file(weights, path, metadata)
+
+
+def load_model(path: Path, params: Parameters) -> nn.Module:
+    """The network of `params`' first agent with the weights in `path`."""
+    weights = {name: value.float() for name, value in load_file(path).items()}
+    actions = len(game_of(params).actions)
+    network = AGENTS[params.agents[0]].network(params.frame_stack, actions)
+    network.load_state_dict(weights)
+    return network.requires_grad_(False).to(torch_device(params.device))
+
+
+def game_of(params: Parameters) -> AtariGame:
+    """A game as `params` set it up."""
+    return AtariGame(
+        params.game,
+        frame_skip=params.frame_skip,
+        noop_max=params.noop_max,
+        sticky_actions=params.sticky_actions,
+        difficulty=params.difficulty,
+        max_game_frames=params.max_game_frames,
+    )
+
+
+class _Table:
+    """A game in progress at one emulator."""
+
+    def __init__(self, params: Parameters):
+        self.emulator = game_of(params)
+        self.planes = np.zeros((params.frame_stack, SIZE * SIZE), np.uint8)
+        self.game = -1
+        self.rng = np.random.default_rng()
+
+    def start(self, game: int, seed: int) -> None:
+        """Begins game number `game`: all that is random in it follows from the two numbers."""
+        emulator_seed, action_seed = np.random.SeedSequence([seed, game]).generate_state(2)
+        self.planes[:] = self.emulator.reset(seed=int(emulator_seed))[0].reshape(-1)
+        self.rng = np.random.default_rng(action_seed)
+        self.game = game
+
+    def step(self, action: int) -> bool:
+        """Plays one agent step; true when the game has ended."""
+        image, _, terminated, truncated, _ = self.emulator.step(action)
+        self.planes[:-1] = self.planes[1:]
+        self.planes[-1] = image.reshape(-1)
+        return terminated or truncated
+
+    def result(self, params: Parameters, epsilon: float, seed: int) -> PlayedGame:
+        emulator = self.emulator
+        return PlayedGame(
+            self.game,
+            emulator.score,
+            emulator.length,
+            emulator.frames,
+            emulator.score >= emulator.facts.wins_at,
+            emulator.knockout(),
+            params.difficulty,
+            params.sticky_actions,
+            epsilon,
+            seed,
+        )
+
+
+def play(network: nn.Module, params: Parameters, games: int, seed: int) -> Iterator[PlayedGame]:
+    """Plays games 0 to `games` - 1 to their ends, several at once, each as it ends.
+
+    Every game that is begun is counted, so that short games are not favoured.
+    """
+    waiting = iter(range(games))
+    tables = []
+    for game in waiting:
+        tables.append(_Table(params))
+        tables[-1].start(game, seed)
+        if len(tables) == EMULATORS:
+            break
+    epsilon = params.evaluation_epsilon
+    while tables:
+        q_values = q_of(network, np.stack([table.planes for table in tables], axis=1))
+        for table, q_value in zip(list(tables), q_values, strict=True):
+            action = epsilon_greedy(q_value[None], epsilon, table.rng)[0]
+            if not table.step(int(action)):
+                continue
+            yield table.result(params, epsilon, seed)
+            following = next(waiting, None)
+            if following is None:
+                tables.remove(table)
+            else:
+                table.start(following, seed)
+
+
+@torch.no_grad()
+def q_of(network: nn.Module, planes: np.ndarray) -> np.ndarray:
+    """Q-values float32 [N, A] of images uint8 [stack, N, 84*84]."""
+    device = next(network.parameters()).device
+    return network(torch.from_numpy(interleave(planes)).to(device)).cpu().numpy()
+
+
+def film(network: nn.Module, params: Parameters, path: Path, game: int, seed: int) -> PlayedGame:
+    """Plays one game as `play` would, and films it: H.264, one picture an agent step."""
+    table = _Table(params)
+    table.start(game, seed)
+    epsilon, ended = params.evaluation_epsilon, False
+    with av.open(str(path), "w", format="mp4") as container:
+        stream = container.add_stream("libx264", rate=60 // params.frame_skip)
+        stream.width, stream.height, stream.pix_fmt = 320, 420, "yuv420p"
+        stream.codec_context.thread_count = 1  # the same bytes every time
+        while True:
+            picture = table.emulator.render().repeat(2, axis=0).repeat(2, axis=1)
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
+            if ended:
+                break
+            q_value = q_of(network, table.planes[:, None])
+            ended = table.step(int(epsilon_greedy(q_value, epsilon, table.rng)[0]))
+        container.mux(stream.encode())
+    return table.result(params, epsilon, seed)

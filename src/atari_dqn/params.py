@@ -1,0 +1,258 @@
+"""What defines a run: one strict, typed object, read from a YAML file.
+
+Anything wrong with a file (an unknown or repeated key, a wrong type, a value out of range) is a
+`ParameterError` of one line that names the file, the key, the value and what would be right.
+"""
+
+import difflib
+import hashlib
+import json
+import re
+from pathlib import Path
+from typing import Annotated, Any, Literal, get_args
+
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ValidationError,
+    field_validator,
+    model_validator,
+)
+from ruamel.yaml import YAML
+from ruamel.yaml.error import YAMLError
+
+# Raise by one when the training code changes in a way that changes results; runs of another
+# version are stale. tests/test_training_version.py fails until somebody has decided.
+TRAINING_VERSION = 1
+
+AgentName = Literal["dqn", "double_dqn", "dueling_double_dqn"]
+GameName = Literal["boxing", "breakout"]
+Profile = Literal["full", "quick", "smoke"]
+AGENT_NAMES: tuple[str, ...] = get_args(AgentName)
+PROFILES: tuple[str, ...] = get_args(Profile)
+DIFFICULTIES = {"boxing": (0, 1, 2, 3), "breakout": (0, 1)}  # the switches each cartridge reads
+
+
+class ParameterError(ValueError):
+    """A bad parameter; the message is one line, fit to be shown to a user as it is."""
+
+
+def _scientific(value: Any) -> Any:
+    """YAML 1.1, which papermill reads, takes 1e-4 for text: accept it as the number it is."""
+    if isinstance(value, str) and re.fullmatch(r"[+-]?\d+(\.\d*)?[eE][+-]?\d+", value):
+        return float(value)
+    return value
+
+
+Number = Annotated[float, BeforeValidator(_scientific), Field(allow_inf_nan=False)]
+
+
+class Parameters(BaseModel):
+    """One experiment: the game, the agents and seeds to train, and every setting of the training.
+
+    Each field's description begins with its unit. Fields below `Training` decide what is learned
+    and make up the identity of a run (`identity`); those above and below them do not.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+    experiment: str = Field(pattern=r"^[a-z0-9_]+(\+[0-9a-f]{8})?$", description="name")
+    profile: Profile = Field("full", description="name; quick and smoke runs are no evidence")
+    agents: list[AgentName] = Field(list(AGENT_NAMES), min_length=1, description="names")
+    seeds: list[Annotated[int, Field(ge=0)]] = Field([1], min_length=1, description="integers")
+    episodes: int = Field(3000, ge=1, description="games to train for")
+
+    # Training: the game and what the agent sees of it
+    game: GameName = Field("boxing", description="name of the cartridge")
+    frame_skip: int = Field(4, ge=1, le=16, description="frames an action is held for")
+    frame_stack: int = Field(4, ge=1, le=8, description="images an observation holds")
+    noop_max: int = Field(30, ge=0, description="frames; most idle frames at a game's start")
+    max_game_frames: int = Field(108_000, ge=1, description="frames after which a game is cut")
+    sticky_actions: Number = Field(0.0, ge=0, lt=1, description="probability a frame")
+    difficulty: int = Field(0, ge=0, le=3, description="switches; 1 slows the agent, 2 its rival")
+    clip_rewards: bool = Field(True, description="learn from the reward's sign only")
+    life_loss_penalty: Number = Field(0.0, ge=0, description="reward subtracted for a lost life")
+
+    # Training: exploration
+    epsilon_start: Number = Field(1.0, ge=0, le=1, description="probability of a random action")
+    epsilon_decay: Number = Field(0.995, gt=0, le=1, description="factor a finished game")
+    epsilon_floor: Number = Field(0.01, ge=0, le=1, description="probability; epsilon's lowest")
+
+    # Training: replay and learning
+    environments: int = Field(8, ge=1, le=64, description="emulators stepped in turn")
+    replay_capacity: int = Field(1_000_000, ge=1, description="transitions remembered")
+    learning_starts: int = Field(20_000, ge=0, description="agent steps before the first update")
+    update_period: int = Field(4, ge=1, description="agent steps an update")
+    batch_size: int = Field(32, ge=1, description="transitions an update")
+    learning_rate: Number = Field(1e-4, gt=0, description="step size of Adam")
+    adam_epsilon: Number = Field(1e-8, gt=0, description="added to Adam's denominator")
+    gamma: Number = Field(0.99, ge=0, lt=1, description="discount an agent step")
+    target_update_period: int = Field(1000, ge=1, description="updates between target updates")
+    tau: Number = Field(1.0, gt=0, le=1, description="share of the way to the online weights")
+
+    # Not training
+    device: Literal["auto", "cpu", "cuda"] = Field("auto", description="where networks live")
+    evaluation_games: int = Field(100, ge=1, description="games of the final evaluation")
+    evaluation_epsilon: Number = Field(0.001, ge=0, le=1, description="probability, evaluating")
+
+    @field_validator("agents", "seeds")
+    @classmethod
+    def _no_repeats(cls, values: list) -> list:
+        if len(set(values)) != len(values):
+            raise ValueError("no value may be listed twice")
+        return values
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> "Parameters":
+        if self.difficulty not in DIFFICULTIES[self.game]:
+            raise _key_error(
+                "difficulty", self.difficulty, f"{self.game} has {DIFFICULTIES[self.game]}"
+            )
+        if self.replay_capacity % self.environments:
+            raise _key_error(
+                "replay_capacity",
+                self.replay_capacity,
+                f"a multiple of environments ({self.environments}) is needed",
+            )
+        smallest = self.environments * (self.frame_stack + 2)
+        if self.replay_capacity < smallest:
+            raise _key_error("replay_capacity", self.replay_capacity, f"at least {smallest}")
+        if self.epsilon_floor > self.epsilon_start:
+            raise _key_error("epsilon_floor", self.epsilon_floor, "above epsilon_start")
+        return self
+
+    def identity(self) -> str:
+        """SHA-256 (hex) of what decides what is learned.
+
+        Only values that differ from the defaults count, so that a new parameter with a neutral
+        default leaves every earlier run valid; `episodes` does not, so that raising it continues
+        a run.
+        """
+        training = self.model_dump(exclude=NOT_TRAINING, exclude_defaults=True)
+        return hashlib.sha256(json.dumps(training, sort_keys=True).encode()).hexdigest()
+
+
+NOT_TRAINING = {
+    *("experiment", "profile", "agents", "seeds", "episodes"),
+    *("device", "evaluation_games", "evaluation_epsilon"),
+}
+
+
+def _key_error(key: str, value: Any, why: str) -> ValueError:
+    return ValueError(f"{key}: {value!r} is not allowed: {why}")
+
+
+def _one_line(error: ValidationError) -> str:
+    """What pydantic found, as one line for people: key, value and what is allowed."""
+    lines = []
+    for detail in error.errors():
+        key = ".".join(str(part) for part in detail["loc"])
+        if detail["type"] == "extra_forbidden":
+            nearest = difflib.get_close_matches(key, Parameters.model_fields, n=1)
+            hint = f"did you mean {nearest[0]!r}?" if nearest else "see params/ for the keys"
+            lines.append(f"unknown key {key!r}: {hint}")
+        elif detail["type"] == "missing":
+            lines.append(f"key {key!r} is missing")
+        else:
+            message = detail["msg"].removeprefix("Value error, ")
+            message = message[0].lower() + message[1:]
+            lines.append(f"{key}: {detail['input']!r} is not allowed: {message}" if key else message)
+    return "; ".join(lines)
+
+
+def parse(values: dict[str, Any], source: str) -> Parameters:
+    """The parameters that `values` hold; `source` (a file's name) begins every error's line."""
+    try:
+        return Parameters.model_validate(values)
+    except ValidationError as error:
+        raise ParameterError(f"{source}: {_one_line(error)}") from None
+
+
+def read_values(path: Path) -> dict[str, Any]:
+    """The keys and values of a YAML file."""
+    try:
+        values = YAML(typ="safe", pure=True).load(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ParameterError(f"{path}: {error.strerror.lower()}") from None
+    except (YAMLError, UnicodeDecodeError) as error:
+        raise ParameterError(f"{path}: " + _yaml_message(error)) from None
+    if not isinstance(values, dict) or not all(isinstance(key, str) for key in values):
+        raise ParameterError(f"{path}: expected lines of 'key: value'")
+    return values
+
+
+def _yaml_message(error: Exception) -> str:
+    problem = getattr(error, "problem", None) or str(error).splitlines()[0]
+    problem = problem.split(" with value")[0]  # "found duplicate key "gamma" with value ..."
+    mark = getattr(error, "problem_mark", None)
+    return f"line {mark.line + 1}: {problem}" if mark else problem
+
+
+def load(path: Path | str, overrides: dict[str, Any] | None = None) -> Parameters:
+    """Parameters from a file, named after it, with `overrides` put on top.
+
+    An override that changes anything but which agents and seeds are run moves the experiment to a
+    name of its own, `<experiment>+<hash8>`: what the file describes is never touched.
+    """
+    path = Path(path)
+    values = read_values(path)
+    named = values.setdefault("experiment", path.stem)
+    if named != path.stem:
+        raise ParameterError(
+            f"{path}: experiment: {named!r} is not allowed: must be the file's name, {path.stem!r}"
+        )
+    base = parse(values, str(path))
+    changed = parse({**values, **(overrides or {})}, f"{path} with overrides")
+    return _renamed(base, changed)
+
+
+def _renamed(base: Parameters, changed: Parameters) -> Parameters:
+    same = {"agents", "seeds", "device"}
+    if changed.model_dump(exclude=same) == base.model_dump(exclude=same):
+        return changed
+    name = f"{base.experiment}+{changed.identity()[:8]}"
+    return changed.model_copy(update={"experiment": name})
+
+
+def resolve(values: dict[str, Any], folder: Path) -> Parameters:
+    """Parameters from values without a file, as papermill injects them into a notebook.
+
+    Where `folder` (the project's params/) holds the file that the values name, they are compared
+    with it, so that an override is recognised exactly as `load` does.
+    """
+    changed = parse(values, "notebook parameters")
+    profile = "" if changed.profile == "full" else changed.profile
+    path = folder / profile / f"{changed.experiment}.yaml"
+    return _renamed(load(path), changed) if path.exists() else changed
+
+
+def pick(params: Parameters, agent: str | None, seed: int | None) -> Parameters:
+    """The same experiment with one agent and one seed only, where they are given."""
+    chosen: dict[str, Any] = {}
+    if agent is not None:
+        chosen["agents"] = [agent]
+    if seed is not None:
+        chosen["seeds"] = [seed]
+    return parse({**params.model_dump(), **chosen}, params.experiment)
+
+
+def parse_override(text: str) -> tuple[str, Any]:
+    """'KEY=VALUE', as the command line takes it; the value is read as YAML."""
+    key, equals, value = text.partition("=")
+    if not equals or not key:
+        raise ParameterError(f"--set {text!r}: expected KEY=VALUE")
+    try:
+        return key, YAML(typ="safe", pure=True).load(value)
+    except YAMLError as error:
+        raise ParameterError(f"--set {text!r}: {_yaml_message(error)}") from None
+
+
+def dump(params: Parameters, path: Path) -> None:
+    """Writes every parameter, resolved, with its unit beside it."""
+    lines = []
+    for key, field in Parameters.model_fields.items():
+        value = json.dumps(getattr(params, key))
+        lines.append(f"{key}: {value}  # {field.description}\n")
+    path.write_text("".join(lines), encoding="utf-8")

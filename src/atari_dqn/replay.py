@@ -1,0 +1,168 @@
+"""The replay memory: every image stored once, compressed; transitions sampled uniformly.
+
+Each environment writes its own stream of slots; slot t of a stream holds the image x_t, the action
+and reward that led to it, and its age (agent steps since its game began):
+
+    slot      0    1    2    3    4    5    6
+    image     x0   x1   x2   x3   y0   y1   y2      a game that ended with x3, then the next one
+    age       0    1    2    3    0    1    2
+    action    -    a0   a1   a2   -    b0   b1      "-": the restart ignored its action
+
+A transition is named by the slot it ends in, so every slot with age > 0 is one. With a stack of
+S images, the transition of slot t needs x_{t-S} to x_t, where an index that would reach across the
+start of the game (t - k with k > age) is replaced by the game's first image.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import zstandard
+
+from atari_dqn.envs import SIZE, interleave
+
+PIXELS = SIZE * SIZE
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Transitions s_tm1 -a_tm1-> (r_t, s_t), N of them; `continues` is 0 where the game ended."""
+
+    s_tm1: np.ndarray  # uint8 [N, 84, 84, S]
+    a_tm1: np.ndarray  # int64 [N]
+    r_t: np.ndarray  # float32 [N]
+    continues: np.ndarray  # float32 [N], 0 or 1; 1 where a game was merely cut
+    s_t: np.ndarray  # uint8 [N, 84, 84, S]
+
+
+class FrameCodec:
+    """Lossless compression of images that resemble one another.
+
+    The first image is the dictionary of all that follow (zstandard's raw-content dictionary):
+    background and lettering then cost almost nothing.
+    """
+
+    def __init__(self, first_image: bytes):
+        self.first_image = first_image
+        dictionary = zstandard.ZstdCompressionDict(
+            first_image, dict_type=zstandard.DICT_TYPE_RAWCONTENT
+        )
+        settings = zstandard.ZstdCompressionParameters.from_level(
+            -1, write_content_size=False, write_checksum=False, write_dict_id=False
+        )
+        self.compress = zstandard.ZstdCompressor(
+            dict_data=dictionary, compression_params=settings
+        ).compress
+        self._decompress = zstandard.ZstdDecompressor(dict_data=dictionary).decompress
+
+    def decompress(self, data: bytes) -> bytes:
+        return self._decompress(data, max_output_size=PIXELS)
+
+
+class ReplayMemory:
+    """A ring of `capacity` slots, shared equally by `streams` environments.
+
+    Raises ValueError when asked for more distinct slots than exist, i.e. sampled while empty.
+    """
+
+    def __init__(self, capacity: int, streams: int, stack: int, seed: np.random.SeedSequence):
+        self.rows, self.streams, self.stack = capacity // streams, streams, stack
+        self.rng = np.random.default_rng(seed)
+        self.codec: FrameCodec | None = None
+        self.frames: list[bytes] = []  # [rows * streams], grows until the ring is full
+        shape = (self.rows, streams)
+        self.ages = np.zeros(shape, np.int32)
+        self.actions = np.zeros(shape, np.uint8)
+        self.rewards = np.zeros(shape, np.float32)
+        self.terminated = np.zeros(shape, bool)
+        self.row = 0  # the next one to be written
+        self.full = False
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def append(
+        self,
+        images: np.ndarray,
+        ages: np.ndarray,
+        actions: np.ndarray,
+        rewards: np.ndarray,
+        terminated: np.ndarray,
+    ) -> None:
+        """Writes one slot a stream: images uint8 [streams, 84*84], the rest [streams]."""
+        if self.codec is None:
+            self.codec = FrameCodec(images[0].tobytes())
+        compressed = [self.codec.compress(image) for image in images]
+        at = self.row * self.streams
+        self.frames[at : at + self.streams] = compressed
+        self.ages[self.row] = ages
+        self.actions[self.row] = actions
+        self.rewards[self.row] = rewards
+        self.terminated[self.row] = terminated
+        self.row += 1
+        if self.row == self.rows:
+            self.row, self.full = 0, True
+
+    def sample(self, count: int) -> Batch:
+        """`count` transitions, uniformly and independently drawn from all that are whole."""
+        rows, streams = self._draw(count)
+        ages = self.ages[rows, streams]
+        back = np.arange(self.stack, -1, -1)[:, None]  # S, ..., 1, 0 slots back
+        slots = (rows - np.minimum(back, ages)) % self.rows * self.streams + streams  # [S+1, N]
+        images = self._images(slots)
+        return Batch(
+            s_tm1=interleave(images[:-1]),
+            a_tm1=self.actions[rows, streams].astype(np.int64),
+            r_t=self.rewards[rows, streams],
+            continues=1 - self.terminated[rows, streams].astype(np.float32),
+            s_t=interleave(images[1:]),
+        )
+
+    def _draw(self, count: int) -> tuple[np.ndarray, np.ndarray]:
+        """Rows and streams of `count` transitions; rejected draws are drawn again."""
+        # Counted from the oldest row. In a full ring the first `stack` rows are left out: the
+        # images before them are overwritten.
+        oldest = self.row if self.full else 0
+        first = self.stack if self.full else 0
+        last = self.rows if self.full else self.row
+        if not (self.ages[:last] > 0).any():
+            raise ValueError("the replay memory holds no transition yet")
+        rows, streams = np.empty(count, np.int64), np.empty(count, np.int64)
+        missing = np.arange(count)
+        while missing.size:
+            rows[missing] = (oldest + self.rng.integers(first, last, missing.size)) % self.rows
+            streams[missing] = self.rng.integers(self.streams, size=missing.size)
+            missing = missing[self.ages[rows[missing], streams[missing]] == 0]
+        return rows, streams
+
+    def _images(self, slots: np.ndarray) -> np.ndarray:
+        """Slots [K, N] to images uint8 [K, N, 84*84]."""
+        assert self.codec is not None
+        frames, decompress = self.frames, self.codec.decompress
+        raw = b"".join([decompress(frames[slot]) for slot in slots.reshape(-1).tolist()])
+        return np.frombuffer(raw, np.uint8).reshape(*slots.shape, PIXELS)
+
+    def get_state(self) -> dict[str, Any]:
+        """The whole memory: arrays, the random generator's state, and the compressed images."""
+        used = self.rows if self.full else self.row
+        return {
+            "ages": self.ages[:used],
+            "actions": self.actions[:used],
+            "rewards": self.rewards[:used],
+            "terminated": self.terminated[:used],
+            "row": self.row,
+            "full": self.full,
+            "rng": self.rng.bit_generator.state,
+            "first_image": self.codec.first_image if self.codec else b"",
+            "frames": self.frames,
+        }
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Restores what `get_state` returned."""
+        used = len(state["ages"])
+        for name in ("ages", "actions", "rewards", "terminated"):
+            getattr(self, name)[:used] = state[name]
+        self.row, self.full = state["row"], state["full"]
+        self.rng.bit_generator.state = state["rng"]
+        self.codec = FrameCodec(state["first_image"]) if state["first_image"] else None
+        self.frames = list(state["frames"])

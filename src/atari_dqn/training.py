@@ -1,0 +1,144 @@
+"""The training loop: play a step of every game, remember it, learn what is due.
+
+    for every vector step:
+        act        epsilon-greedily, one forward pass for all games
+        remember   one slot a game in the replay memory
+        learn      one update for every `update_period` agent steps
+                   and, every `target_update_period` updates, renew the target network
+
+Nothing here may depend on how many games a run is to have: raising that number must continue a
+run as if it had been meant from the start.
+"""
+
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+import torch
+
+from atari_dqn.agents import AGENTS, Learner
+from atari_dqn.envs import FinishedGame, LockstepGames
+from atari_dqn.exploration import epsilon, epsilon_greedy
+from atari_dqn.params import Parameters
+from atari_dqn.replay import ReplayMemory
+
+
+@dataclass(frozen=True)
+class Episode:
+    """One finished training game, a row of episodes.csv."""
+
+    episode: int  # 1, 2, ...
+    agent_steps: int  # of all games so far
+    frames: int  # of all finished games
+    score: float  # points of the whole game, raw and unclipped
+    length: int  # agent steps
+    epsilon: float  # probability of a random action when the game ended
+    loss: float  # mean over the updates since games last finished; nan before the first update
+    mean_q: float  # mean Q(s, a) of the same updates' transitions
+
+
+class Trainer:
+    """One run: an agent, its games and its memory, from a seed.
+
+    Deterministic on one machine with one torch thread: the same parameters, agent and seed give
+    the same weights and the same episodes, bit for bit.
+    """
+
+    def __init__(self, params: Parameters, agent: str, seed: int):
+        torch.set_flush_denormal(True)  # Adam's dying moments would slow the CPU down
+        seeds = np.random.SeedSequence(seed).spawn(4)
+        self.params = params
+        self.games = LockstepGames(params, seeds[0])
+        self.memory = ReplayMemory(
+            params.replay_capacity, params.environments, params.frame_stack, seeds[1]
+        )
+        self.rng = np.random.default_rng(seeds[2])  # exploration
+        initial = int(seeds[3].generate_state(1)[0])
+        self.learner = Learner(AGENTS[agent], self.games.actions, params, initial)
+        self.agent_steps, self.episodes, self.frames = 0, 0, 0
+        self.sums = np.zeros(3)  # loss, Q-value, updates since games last finished
+        self.means = (float("nan"), float("nan"))
+        self.waiting: deque[Episode] = deque()  # games that ended together are reported in turn
+        images = self.games.planes[-1]
+        idle = np.zeros(params.environments)
+        self.memory.append(images, idle, idle, idle, idle)  # the first images, of age 0
+
+    def run(self) -> Iterator[Episode | None]:
+        """Trains for ever; yields after every vector step: a finished game, or None.
+
+        Between two yields the trainer's state is whole: it can be saved, or left for good.
+        """
+        while True:
+            if not self.waiting:
+                self._step()
+            yield self.waiting.popleft() if self.waiting else None
+
+    def _step(self) -> None:
+        probability = epsilon(self.params, self.episodes)
+        q_values = self.learner.q_values(self.games.observations())
+        actions = epsilon_greedy(q_values, probability, self.rng)
+        self.agent_steps += int((~self.games.ended).sum())  # an ended game only restarts
+        step = self.games.step(actions)
+        self.memory.append(step.images, step.ages, actions, step.rewards, step.terminated)
+        self._learn()
+        if step.finished:
+            self._finish(step.finished, probability)
+
+    def _learn(self) -> None:
+        steps = self.agent_steps - self.params.learning_starts
+        due = max(0, steps // self.params.update_period) - self.learner.updates
+        while due > 0:
+            count = min(due, self.learner.updates_until_target())
+            batch = self.memory.sample(count * self.params.batch_size)
+            loss, q = self.learner.learn(batch, count)
+            self.sums += (loss * count, q * count, count)
+            due -= count
+
+    def _finish(self, games: list[FinishedGame], probability: float) -> None:
+        loss, q, updates = self.sums
+        if updates:
+            self.means = (loss / updates, q / updates)
+            self.sums = np.zeros(3)
+        for game in games:
+            self.episodes += 1
+            self.frames += game.frames
+            self.waiting.append(
+                Episode(
+                    self.episodes,
+                    self.agent_steps,
+                    self.frames,
+                    game.score,
+                    game.length,
+                    probability,
+                    *self.means,
+                )
+            )
+
+    def get_state(self) -> dict[str, Any]:
+        """Everything that decides how the run goes on: nested, of numbers, bytes and arrays."""
+        return {
+            "games": self.games.get_state(),
+            "memory": self.memory.get_state(),
+            "learner": self.learner.get_state(),
+            "rng": self.rng.bit_generator.state,
+            "agent_steps": self.agent_steps,
+            "episodes": self.episodes,
+            "frames": self.frames,
+            "sums": self.sums,
+            "means": list(self.means),
+            "waiting": [asdict(episode) for episode in self.waiting],
+        }
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Restores what `get_state` returned."""
+        self.games.set_state(state["games"])
+        self.memory.set_state(state["memory"])
+        self.learner.set_state(state["learner"])
+        self.rng.bit_generator.state = state["rng"]
+        self.agent_steps, self.episodes = state["agent_steps"], state["episodes"]
+        self.frames = state["frames"]
+        self.sums[:] = state["sums"]
+        self.means = tuple(state["means"])
+        self.waiting = deque(Episode(**episode) for episode in state["waiting"])
