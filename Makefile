@@ -16,7 +16,7 @@ PARAMS_FILE = params/$(if $(filter-out full,$(PROFILE)),$(PROFILE)/)$(EXPERIMENT
 .PHONY: help report lab test check format train experiments status lock clean
 
 help: ## list what can be made
-	@sed -n 's/^\([a-z]*\):[^#]*## \(.*\)/  make \1|\2/p' $(MAKEFILE_LIST) | column -t -s '|'
+	@sed -n 's/^\([a-z]*\):[^#]*## \(.*\)/  make \1|\2/p' $(MAKEFILE_LIST) | awk -F'|' '{printf "%-19s %s\n", $$1, $$2}'
 	@echo
 	@echo "  PROFILE=quick       small runs of everything, trained from scratch (report, train)"
 	@echo "  RESULTS=folder      where results are kept instead of results/"

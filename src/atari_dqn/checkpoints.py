@@ -61,7 +61,7 @@ def load(folder: Path) -> dict[str, Any] | None:
         try:
             return _read(checkpoint)
         except (OSError, ValueError, KeyError, SafetensorError) as error:
-            warnings.warn(f"checkpoint {checkpoint} is damaged ({error}); passed over", stacklevel=2)
+            warnings.warn(f"{checkpoint} is damaged ({error}); passed over", stacklevel=2)
     if found:
         raise CheckpointError(f"every checkpoint in {folder} is damaged; delete it to start again")
     return None

@@ -157,8 +157,10 @@ def _one_line(error: ValidationError) -> str:
             lines.append(f"key {key!r} is missing")
         else:
             message = detail["msg"].removeprefix("Value error, ")
-            message = message[0].lower() + message[1:]
-            lines.append(f"{key}: {detail['input']!r} is not allowed: {message}" if key else message)
+            if key:  # else the validator of the whole has named it
+                message = message[0].lower() + message[1:]
+                message = f"{key}: {detail['input']!r} is not allowed: {message}"
+            lines.append(message)
     return "; ".join(lines)
 
 
@@ -232,10 +234,16 @@ def pick(params: Parameters, agent: str | None, seed: int | None) -> Parameters:
     """The same experiment with one agent and one seed only, where they are given."""
     chosen: dict[str, Any] = {}
     if agent is not None:
+        if agent not in AGENT_NAMES:
+            raise ParameterError(
+                f"agent: {agent!r} is not allowed: must be one of {', '.join(AGENT_NAMES)}"
+            )
         chosen["agents"] = [agent]
     if seed is not None:
+        if seed < 0:
+            raise ParameterError(f"seed: {seed} is not allowed: must be 0 or more")
         chosen["seeds"] = [seed]
-    return parse({**params.model_dump(), **chosen}, params.experiment)
+    return params.model_copy(update=chosen)
 
 
 def parse_override(text: str) -> tuple[str, Any]:

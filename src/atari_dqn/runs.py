@@ -185,7 +185,7 @@ def train(run: Run, position: int = 0) -> str:
         except Exception as error:
             recorder.write_status(FAILED, error=f"{type(error).__name__}: {error}")
             raise
-        return f"{run.name} is complete: {recorder.trainer.episodes} games"
+        return f"{run.name} is complete: {recorder.episodes} games"
 
 
 def _play_and_learn(recorder: "_Recorder", stopped: Callable[[], bool], position: int) -> None:

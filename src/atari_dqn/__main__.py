@@ -1,0 +1,140 @@
+"""The command line: python -m atari_dqn."""
+
+import sys
+import warnings
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from atari_dqn import experiments, params, report, runs
+from atari_dqn.checkpoints import CheckpointError
+from atari_dqn.params import ParameterError
+from atari_dqn.runs import RunError
+
+app = typer.Typer(
+    help="Train, evaluate and report on Deep Q-Networks that play Atari Boxing and Breakout.",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    add_completion=False,
+)
+experiments_app = typer.Typer(
+    help="See and train the runs that the parameter files ask for.", no_args_is_help=True
+)
+app.add_typer(experiments_app, name="experiments")
+
+Results = Annotated[
+    Path | None,
+    typer.Option(help="Results folder; by default results/, or results/PROFILE/ of a profile."),
+]
+Profile = Annotated[str, typer.Option(help=f"One of {', '.join(params.PROFILES)}.")]
+Names = Annotated[list[str] | None, typer.Argument(help="Experiments; all if none is named.")]
+
+
+def _profile(name: str) -> str:
+    if name not in params.PROFILES:
+        allowed = ", ".join(params.PROFILES)
+        raise ParameterError(f"--profile {name!r} is not allowed: must be one of {allowed}")
+    return name
+
+
+@app.command()
+def train(
+    params_file: Annotated[Path, typer.Argument(help="An experiment's YAML file, see params/.")],
+    agent: Annotated[
+        str | None, typer.Option(help=f"Only this one: {', '.join(params.AGENT_NAMES)}.")
+    ] = None,
+    seed: Annotated[int | None, typer.Option(help="Only this one; may be a new one.")] = None,
+    results: Results = None,
+    set_: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="Change a parameter; may be repeated."),
+    ] = None,
+) -> None:
+    """Train the runs of one experiment, or continue them; what is complete stays as it is.
+
+    With --set the runs go to a folder of their own, never into the experiment's.
+    """
+    overrides = dict(params.parse_override(text) for text in set_ or [])
+    chosen = params.pick(params.load(params_file, overrides), agent, seed)
+    for run in runs.runs_of(chosen, runs.results_folder(chosen.profile, results)):
+        print(runs.train(run))
+
+
+@app.command()
+def evaluate(
+    run_dir: Annotated[Path, typer.Argument(help="A finished run's folder, .../seed-N.")],
+    games: Annotated[int | None, typer.Option(min=1, help="By default the run's own.")] = None,
+    difficulty: Annotated[
+        int | None, typer.Option(help="Switches: 1 slows the agent, 2 its rival, 3 both.")
+    ] = None,
+    sticky: Annotated[
+        float | None, typer.Option(help="Probability that the console repeats an action.")
+    ] = None,
+    epsilon: Annotated[float | None, typer.Option(help="Probability of a random action.")] = None,
+    video: Annotated[Path | None, typer.Option(help="Film the first game: FILE.mp4.")] = None,
+) -> None:
+    """Play whole games with a run's published model and store them in its evaluations.csv."""
+    chosen: dict[str, Any] = {
+        "difficulty": difficulty,
+        "sticky_actions": sticky,
+        "evaluation_epsilon": epsilon,
+    }
+    given = {key: value for key, value in chosen.items() if value is not None}
+    if video is not None and (video.suffix != ".mp4" or not video.resolve().parent.is_dir()):
+        raise ParameterError(f"--video {str(video)!r}: expected FILE.mp4 in a folder that exists")
+    played = runs.evaluate(run_dir, given, games, video)
+    print(
+        f"{len(played)} games: mean score {played.score.mean():.1f}, "
+        f"{played.won.sum()} won, {(played.knockout == 1).sum()} by knock-out"
+    )
+
+
+@experiments_app.command()
+def status(names: Names = None, results: Results = None, profile: Profile = "full") -> None:
+    """Show every run: complete, running, interrupted, failed, missing or stale."""
+    table = experiments.status(experiments.planned(_profile(profile), names or [], results))
+    print(table.to_string(index=False, na_rep="-"))
+
+
+@experiments_app.command()
+def run(
+    names: Names = None,
+    results: Results = None,
+    profile: Profile = "full",
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="Runs at once; by default one a core.")
+    ] = None,
+) -> None:
+    """Train what is missing or interrupted, several runs at once."""
+    wanted = experiments.planned(_profile(profile), names or [], results)
+    failures = experiments.train_all(wanted, workers)
+    if failures:
+        raise RunError("\n".join(failures))
+
+
+@app.command(name="report")
+def report_(profile: Profile = "full", results: Results = None) -> None:
+    """Render the report from the stored runs; quick and smoke train their small runs first."""
+    print(f"report: {report.build(_profile(profile), results)}/index.html and report.pdf")
+
+
+def main() -> None:
+    """Runs the command line; what a user can mend is one line on stderr, not a traceback."""
+    warnings.showwarning = lambda message, *_: print(f"warning: {message}", file=sys.stderr)
+    try:
+        app()
+    except ParameterError as error:
+        print(f"error: {error}", file=sys.stderr)
+        sys.exit(2)
+    except (RunError, CheckpointError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        sys.exit(1)
+    except KeyboardInterrupt:
+        print("interrupted; the same command continues", file=sys.stderr)
+        sys.exit(130)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,139 @@
+"""From notebooks to the written report: papermill executes, nbconvert extracts, pandoc and Typst
+typeset. Every part comes from pip packages; nothing is fetched.
+
+The previous report stays in place until a whole new one has been made.
+"""
+
+import os
+import shutil
+import tempfile
+from datetime import UTC, datetime
+from pathlib import Path
+
+import nbformat
+import papermill
+import pypandoc
+import typst
+from nbconvert import MarkdownExporter
+from tqdm import tqdm
+
+from atari_dqn import experiments, runs
+from atari_dqn.runs import RunError
+
+STAMP = {"full": "", "quick": "QUICK RUN, NOT EVIDENCE", "smoke": "SMOKE RUN, NOT EVIDENCE"}
+TITLE = "Deep Q-Networks learn to box"
+SUBTITLE = "A reproducible study of DQN, Double DQN and Dueling Double DQN on two Atari games"
+TEMPLATES = Path(__file__).parent / "templates"
+
+
+def build(profile: str, results: Path | None = None) -> Path:
+    """Makes the report of a profile and returns its folder.
+
+    `full` renders what is stored, and trains nothing; the other profiles first train what is
+    missing of their small runs. Raises RunError if a run or a section fails.
+    """
+    folder = runs.results_folder(profile, results)
+    if profile != "full":
+        failures = experiments.train_all(experiments.planned(profile, [], folder))
+        if failures:
+            raise RunError("; ".join(failures))
+    executed = _execute(profile, folder)
+    with tempfile.TemporaryDirectory() as temporary:
+        made = Path(temporary)
+        text = "\n\n".join(_section(path, made) for path in executed)
+        text += "\n\n# References {.unnumbered}\n"
+        _typeset(text, STAMP[profile], made)
+        target = folder / "report"
+        target.mkdir(parents=True, exist_ok=True)
+        for name in ("index.html", "report.pdf"):
+            shutil.copyfile(made / name, target / f".{name}")
+            (target / f".{name}").replace(target / name)
+    return target
+
+
+def _execute(profile: str, folder: Path) -> list[Path]:
+    """Runs the numbered notebooks into results/notebooks; a failing one leaves no output there."""
+    root = runs.project_root()
+    target = folder / "notebooks"
+    target.mkdir(parents=True, exist_ok=True)
+    executed = []
+    for notebook in tqdm(sorted((root / "notebooks").glob("[0-9]*.ipynb")), desc="sections"):
+        partial = target / f".{notebook.name}"
+        try:
+            papermill.execute_notebook(
+                notebook,
+                partial,
+                {"profile": profile, "results_dir": str(folder.resolve())},
+                cwd=str(notebook.parent),
+                kernel_name="python3",
+                progress_bar=False,
+                request_save_on_cell_execute=False,
+            )
+        except papermill.PapermillExecutionError as error:
+            partial.unlink(missing_ok=True)
+            raise RunError(
+                f"section {notebook.name}, cell {error.cell_index}: {error.ename}: {error.evalue}"
+            ) from None
+        partial.replace(target / notebook.name)
+        executed.append(target / notebook.name)
+    return executed
+
+
+def _section(path: Path, made: Path) -> str:
+    """An executed notebook as pandoc's Markdown; its figures go to `made`."""
+    exporter = MarkdownExporter(
+        template_name="section", extra_template_basedirs=[str(TEMPLATES)], exclude_input=True
+    )
+    notebook = nbformat.read(path, as_version=4)
+    resources = {"output_files_dir": f"{path.stem}_figures", "unique_key": path.stem}
+    body, resources = exporter.from_notebook_node(notebook, resources)
+    for name, data in resources["outputs"].items():
+        (made / name).parent.mkdir(exist_ok=True)
+        (made / name).write_bytes(data)
+    return body
+
+
+def _typeset(text: str, stamp: str, made: Path) -> None:
+    """Markdown to `made`/index.html and report.pdf."""
+    root = runs.project_root()
+    bibliography = root / "notebooks" / "references.bib"
+    shared = [
+        "--standalone",
+        "--citeproc",
+        f"--bibliography={bibliography}",
+        f"--resource-path={made}",
+        "--number-sections",
+        f"--metadata=title:{TITLE}",
+        f"--metadata=subtitle:{SUBTITLE}",
+        "--metadata=lang:en-GB",
+        "--metadata=link-citations:true",
+    ]
+    source = "markdown-implicit_figures+implicit_figures"
+    html = [
+        *shared,
+        "--embed-resources",
+        "--mathml",
+        "--toc",
+        f"--css={TEMPLATES / 'report.css'}",
+        *([f"--metadata=stamp:{stamp}"] if stamp else []),
+        f"--template={TEMPLATES / 'report.html'}",
+    ]
+    pypandoc.convert_text(
+        text, "html5", source, extra_args=html, outputfile=str(made / "index.html")
+    )
+    paper = [
+        *shared,
+        f"--template={TEMPLATES / 'report.typ'}",
+        *([f"--metadata=stamp:{stamp}"] if stamp else []),
+    ]
+    pypandoc.convert_text(
+        text, "typst", source, extra_args=paper, outputfile=str(made / "report.typ")
+    )
+    when = datetime.fromtimestamp(int(os.environ.get("SOURCE_DATE_EPOCH", 0)), UTC)
+    typst.compile(
+        str(made / "report.typ"),
+        output=str(made / "report.pdf"),
+        root=str(made),
+        ignore_system_fonts=True,
+        timestamp=int(when.timestamp()),
+    )

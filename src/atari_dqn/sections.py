@@ -1,0 +1,204 @@
+"""What the report's notebooks call: their parameters, the stored runs, and labelled output.
+
+Figures and tables carry their caption, label and text alternative with them, in the notebook's
+own output, from where `report` takes them into HTML and PDF.
+"""
+
+import ast
+from typing import Any
+
+import pandas as pd
+from IPython.core.getipython import get_ipython
+from IPython.display import Markdown, display
+from matplotlib import pyplot as plt
+from matplotlib.figure import Figure
+from matplotlib_inline.backend_inline import set_matplotlib_formats
+
+from atari_dqn import experiments, params, plots, runs
+from atari_dqn.envs import GAMES, GameFacts
+from atari_dqn.params import ParameterError, Parameters
+from atari_dqn.runs import Run
+from atari_dqn.statistics import MARKS, interval, scores_at_marks
+
+
+def injected() -> dict[str, Any]:
+    """The names that the notebook's parameter cells assign, with their values now.
+
+    A parameter cell begins with the line "# Parameters", as the ones that papermill adds do.
+    """
+    shell = get_ipython()
+    assert shell is not None, "sections.injected() is for notebooks"
+    names: set[str] = set()
+    for source in shell.user_ns["In"]:
+        if source.startswith("# Parameters"):
+            for node in ast.walk(ast.parse(source)):
+                if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+                    names.add(node.id)
+    return {name: shell.user_ns[name] for name in names}
+
+
+def run_from_notebook(values: dict[str, Any]) -> Run:
+    """The run that experiment.ipynb's parameters describe.
+
+    `agent`, `seed` and `results_dir` are the notebook's own; everything else must be a training
+    parameter. Raises ParameterError.
+    """
+    own = {name: values.pop(name, None) for name in ("agent", "seed", "results_dir")}
+    resolved = params.resolve(values, runs.project_root() / "params")
+    chosen = params.pick(
+        resolved, own["agent"] or resolved.agents[0], own["seed"] or resolved.seeds[0]
+    )
+    return Run(chosen, runs.results_folder(chosen.profile, own["results_dir"]))
+
+
+class Section:
+    """The runs that one section of the report is about.
+
+    `agents` and `seeds` restrict the experiment's own; None takes them all. With `train_missing`
+    what is missing is trained first. Raises ParameterError on an unknown experiment or agent.
+    """
+
+    def __init__(
+        self,
+        experiment: str,
+        profile: str,
+        results_dir: str | None = None,
+        agents: list[str] | None = None,
+        seeds: list[int] | None = None,
+        train_missing: bool = False,
+    ):
+        found = {path.stem: path for path in experiments.files(profile)}
+        if experiment not in found:
+            raise ParameterError(
+                f"experiment {experiment!r} is not allowed: must be one of {', '.join(found)}"
+            )
+        chosen = {"agents": agents, "seeds": seeds}
+        overrides = {key: value for key, value in chosen.items() if value is not None}
+        self.params: Parameters = params.load(found[experiment], overrides)
+        self.facts: GameFacts = GAMES[self.params.game]
+        self.file = found[experiment].relative_to(runs.project_root())
+        folder = runs.results_folder(profile, results_dir)
+        self.runs = runs.runs_of(self.params, folder)
+        if train_missing:
+            failures = experiments.train_all(self.runs)
+            if failures:
+                raise runs.RunError("; ".join(failures))
+        usable = [run for run in self.runs if run.state() not in (runs.MISSING, runs.STALE)]
+        self.episodes: pd.DataFrame = runs.read_table(usable, "episodes.csv")
+        self.evaluations: pd.DataFrame = runs.read_table(usable, "evaluations.csv")
+        # How many games a point of a learning curve is the mean of, and the marks of the tables.
+        self.window = max(1, min(500, self.params.episodes // 6))
+
+    def badge(self) -> None:
+        """Says which runs are missing or partial, their share done, and how to finish them."""
+        states = [run.state() for run in self.runs]
+        complete = states.count(runs.COMPLETE)
+        done = 0 if self.episodes.empty else len(self.episodes)
+        share = done / (len(self.runs) * self.params.episodes)
+        profile = f" (a {self.params.profile} run)" if self.params.profile != "full" else ""
+        text = (
+            f"**{complete} of {len(self.runs)} runs complete**{profile}: {done:,} games played, "
+            f"{share:.0%} of those planned."
+        )
+        unfinished = [
+            f"`python -m atari_dqn train {self.file} --agent {run.agent} --seed {run.seed}`"
+            for run, state in zip(self.runs, states, strict=True)
+            if state != runs.COMPLETE
+        ]
+        if unfinished:
+            text += " Figures show what there is. To finish:\n\n"
+            text += "\n".join(f"- {command}" for command in unfinished)
+        show_text(f"::: {{.badge}}\n{text}\n:::")
+
+    def counted(self) -> str:
+        """How many seeds and games there are, for captions."""
+        if self.episodes.empty:
+            return "no run stored yet"
+        seeds = self.episodes.seed.nunique()
+        few = "; indicative only" if seeds <= 3 else ""
+        return f"{seeds} seed{'s' * (seeds > 1)}, {len(self.episodes):,} training games{few}"
+
+
+def start() -> None:
+    """Prepares a notebook: figures in the project's style, as vector graphics."""
+    plots.style()
+    set_matplotlib_formats("svg", metadata={"Date": None, "Creator": None})
+
+
+def show_text(markdown: str) -> None:
+    """Shows computed text."""
+    display(Markdown(markdown))
+
+
+def show_figure(figure: Figure, label: str, caption: str, alt: str) -> None:
+    """Shows a figure with its caption; `label` (fig-...) is what the text refers to."""
+    meta = {"label": label, "caption": caption, "alt": alt}
+    display(figure, metadata={"image/svg+xml": meta})
+    plt.close(figure)
+
+
+def show_table(table: pd.DataFrame, label: str, caption: str, decimals: int = 2) -> None:
+    """Shows a table with its caption; missing numbers are dashes."""
+    text = table.to_markdown(index=False, floatfmt=f".{decimals}f", missingval="–")
+    show_text(f"{text}\n\n: {caption} {{#{label}}}")
+
+
+def settings(of: list[Parameters]) -> pd.DataFrame:
+    """A row a training parameter, with its unit and its value in each experiment."""
+    shown = [key for key in Parameters.model_fields if key not in params.NOT_TRAINING]
+    table = pd.DataFrame(
+        {
+            "parameter": [f"`{key}`" for key in shown],
+            "unit": [Parameters.model_fields[key].description for key in shown],
+        }
+    )
+    for item in of:
+        values = (getattr(item, key) for key in shown)
+        table[item.experiment] = [
+            f"{value:g}" if isinstance(value, float) else str(value) for value in values
+        ]
+    return table
+
+
+def show_marks(section: Section) -> None:
+    """The mean score of the last games at each mark that a run has reached."""
+    if section.episodes.empty:
+        return
+    step = section.params.episodes / len(MARKS)
+    marks = tuple(dict.fromkeys(round(step * (index + 1)) for index in range(len(MARKS))))
+    table = scores_at_marks(section.episodes, marks, section.window).reset_index()
+    table["agent"] = table.agent.map(runs.title)
+    show_table(
+        table,
+        label=f"tbl-{section.params.game}-marks",
+        caption=f"{section.facts.title}: mean raw score of the {section.window} games up to each "
+        f"number of games played ({section.counted()}). Human {section.facts.human:g}, random "
+        f"play {section.facts.random:g} [@dqnzoo2020].",
+    )
+
+
+def show_evaluations(section: Section) -> None:
+    """Mean evaluation score of every run, with its interval over the games played."""
+    if section.evaluations.empty:
+        return
+    rows = []
+    for (agent, seed), games in section.evaluations.groupby(["agent", "seed"], sort=False):
+        low, high = interval(games.score.to_numpy())
+        rows.append(
+            {
+                "agent": runs.title(agent),
+                "seed": seed,
+                "games": len(games),
+                "mean score": games.score.mean(),
+                "95% interval": f"{low:.1f} to {high:.1f}",
+                "won": f"{games.won.mean():.0%}",
+                "knock-outs": f"{(games.knockout == 1).mean():.0%}",
+            }
+        )
+    show_table(
+        pd.DataFrame(rows),
+        label=f"tbl-{section.params.game}-evaluation",
+        caption=f"{section.facts.title}: evaluation games. The interval is over the games of a run "
+        "(bootstrap), not over seeds.",
+        decimals=1,
+    )

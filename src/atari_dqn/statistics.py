@@ -1,0 +1,47 @@
+"""Summaries of scores, with intervals."""
+
+import numpy as np
+import pandas as pd
+from scipy import stats
+
+MARKS = (500, 1000, 1500, 2000, 2500, 3000)  # games, at which the source report gives its scores
+
+
+def trailing_mean(scores: pd.Series, window: int) -> pd.Series:
+    """Mean of the last `window` scores at every game, from the `window`-th game on."""
+    return scores.rolling(window).mean()
+
+
+def interval(values: np.ndarray, confidence: float = 0.95) -> tuple[float, float]:
+    """Bootstrap confidence interval of the mean (percentile method, 9,999 resamples).
+
+    Raises ValueError for fewer than two values, from which nothing can be resampled.
+    """
+    if len(values) < 2:
+        raise ValueError("an interval needs at least two values")
+    result = stats.bootstrap(
+        (np.asarray(values, float),),
+        np.mean,
+        confidence_level=confidence,
+        method="percentile",
+        rng=np.random.default_rng(0),
+    )
+    low, high = result.confidence_interval
+    return float(low), float(high)
+
+
+def scores_at_marks(episodes: pd.DataFrame, marks: tuple[int, ...], window: int) -> pd.DataFrame:
+    """Mean score of the `window` games up to each mark, a row an agent and seed.
+
+    A mark that a run has not reached is missing (nan).
+    """
+    rows = {}
+    for key, games in episodes.groupby(["agent", "seed"], sort=False):
+        scores = games.set_index("episode").score
+        rows[key] = [
+            scores.loc[max(1, mark - window + 1) : mark].mean() if mark in scores.index else np.nan
+            for mark in marks
+        ]
+    table = pd.DataFrame.from_dict(rows, orient="index", columns=list(marks))
+    table.index = pd.MultiIndex.from_tuples(table.index, names=["agent", "seed"])
+    return table
