@@ -84,16 +84,19 @@ class AtariGame(gymnasium.Env):
         self.game, self.facts = game, GAMES[game]
         self.frame_skip, self.noop_max = frame_skip, noop_max
         self.difficulty, self.max_game_frames = difficulty, max_game_frames
+        self.sticky_actions = sticky_actions
         self.ale = ALEInterface()
-        self.ale.setFloat("repeat_action_probability", sticky_actions)
-        self._seed_emulator(0)
+        self.ale.setFloat("repeat_action_probability", 0.0)  # see _act
+        self.ale.loadROM(roms.get_rom_path(game))
         if difficulty not in self.ale.getAvailableDifficulties():
             raise ValueError(f"{game} has no difficulty {difficulty}")
+        self.ale.setDifficulty(difficulty)
         self.actions = self.ale.getMinimalActionSet()
         self.action_space = gymnasium.spaces.Discrete(len(self.actions))
         self.observation_space = gymnasium.spaces.Box(0, 255, (SIZE, SIZE), np.uint8)
         self._screens = np.zeros((2, 210, 160), np.uint8)  # the two frames that are maximised
         self.score, self.frames, self.length, self.lives = 0.0, 0, 0, 0
+        self.last_action = 0  # the one executed in the last frame
 
     def _seed_emulator(self, seed: int) -> None:
         self.ale.setInt("random_seed", seed)
@@ -107,7 +110,7 @@ class AtariGame(gymnasium.Env):
             super().reset(seed=int(np_seed))
             self._seed_emulator(int(ale_seed.astype(np.int32)))
         self.ale.reset_game()
-        self.score, self.frames, self.length = 0.0, 0, 0
+        self.score, self.frames, self.length, self.last_action = 0.0, 0, 0, 0
         idle = self.np_random.integers(1, self.noop_max + 1) if self.noop_max else 0
         for _ in range(idle):
             self._act(0)
@@ -162,6 +165,12 @@ class AtariGame(gymnasium.Env):
         return int(agent) - int(rival)
 
     def _act(self, action: int) -> float:
+        """One frame. With probability `sticky_actions` the last action is executed once more
+        (Machado et al., 2018, section 4.1). The emulator could do this itself, but then forgets
+        the last action when its state is saved."""
+        if self.sticky_actions and self.np_random.random() < self.sticky_actions:
+            action = self.last_action
+        self.last_action = action
         reward = self.ale.act(self.actions[action])
         self.score += reward
         self.frames += 1
@@ -187,6 +196,7 @@ class AtariGame(gymnasium.Env):
             "frames": self.frames,
             "length": self.length,
             "lives": self.lives,
+            "last_action": self.last_action,
         }
 
     def set_state(self, state: dict[str, Any]) -> None:
@@ -197,6 +207,7 @@ class AtariGame(gymnasium.Env):
         self.np_random.bit_generator.state = state["rng"]
         self.score, self.frames = state["score"], state["frames"]
         self.length, self.lives = state["length"], state["lives"]
+        self.last_action = state["last_action"]
 
 
 @dataclass(frozen=True)

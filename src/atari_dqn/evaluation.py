@@ -38,10 +38,10 @@ class PlayedGame:
     seed: int
 
 
-def save_model(network: nn.Module, path: Path, metadata: dict[str, str]) -> None:
+def save_model(network: nn.Module, path: Path) -> None:
     """Writes the weights as float16."""
     weights = {name: value.half().contiguous() for name, value in network.state_dict().items()}
-    save_file(weights, path, metadata)
+    save_file(weights, path)
 
 
 def load_model(path: Path, params: Parameters) -> nn.Module:

@@ -207,27 +207,23 @@ def load(path: Path | str, overrides: dict[str, Any] | None = None) -> Parameter
         )
     base = parse(values, str(path))
     changed = parse({**values, **(overrides or {})}, f"{path} with overrides")
-    return _renamed(base, changed)
-
-
-def _renamed(base: Parameters, changed: Parameters) -> Parameters:
-    same = {"agents", "seeds", "device"}
-    if changed.model_dump(exclude=same) == base.model_dump(exclude=same):
+    picks = {"agents", "seeds", "device"}
+    if changed.model_dump(exclude=picks) == base.model_dump(exclude=picks):
         return changed
     name = f"{base.experiment}+{changed.identity()[:8]}"
     return changed.model_copy(update={"experiment": name})
 
 
 def resolve(values: dict[str, Any], folder: Path) -> Parameters:
-    """Parameters from values without a file, as papermill injects them into a notebook.
+    """Parameters from a notebook's values: `experiment` and `profile` name a file in `folder`
+    (the project's params/), and the other values are put on top of it, as `load` does.
 
-    Where `folder` (the project's params/) holds the file that the values name, they are compared
-    with it, so that an override is recognised exactly as `load` does.
+    An experiment without a file there must bring all that differs from the defaults.
     """
-    changed = parse(values, "notebook parameters")
-    profile = "" if changed.profile == "full" else changed.profile
-    path = folder / profile / f"{changed.experiment}.yaml"
-    return _renamed(load(path), changed) if path.exists() else changed
+    given = parse(values, "notebook parameters")
+    profile = "" if given.profile == "full" else given.profile
+    path = folder / profile / f"{given.experiment}.yaml"
+    return load(path, values) if path.exists() else given
 
 
 def pick(params: Parameters, agent: str | None, seed: int | None) -> Parameters:

@@ -68,6 +68,7 @@ def _execute(profile: str, folder: Path) -> list[Path]:
                 kernel_name="python3",
                 progress_bar=False,
                 request_save_on_cell_execute=False,
+                extra_arguments=["--log-level=ERROR"],
             )
         except papermill.PapermillExecutionError as error:
             partial.unlink(missing_ok=True)

@@ -293,9 +293,8 @@ class _Recorder:
     def finish(self, stopped: Callable[[], bool]) -> None:
         """Publishes the model, plays the final evaluation and marks the run complete."""
         folder, parameters = self.run.folder, self.run.params
-        metadata = {"agent": self.run.agent, "identity": parameters.identity()}
         path = folder / "model.safetensors"
-        evaluation.save_model(self.trainer.learner.online, path, metadata)
+        evaluation.save_model(self.trainer.learner.online, path)
         network = evaluation.load_model(path, parameters)
         played = []
         games = evaluation.play(network, parameters, parameters.evaluation_games, self.run.seed)

@@ -1,0 +1,36 @@
+"""Shared by all tests: small parameters, and state kept out of the project's folders."""
+
+import os
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # results depend on it, and tests run in parallel
+
+import pytest
+import torch
+
+from atari_dqn.params import Parameters
+
+SMALL = {
+    "experiment": "small",
+    "profile": "smoke",
+    "agents": ["double_dqn"],
+    "episodes": 3,
+    "max_game_frames": 200,
+    "environments": 2,
+    "replay_capacity": 400,
+    "learning_starts": 40,
+    "batch_size": 4,
+    "target_update_period": 7,
+    "evaluation_games": 2,
+}
+
+
+@pytest.fixture(autouse=True)
+def _isolated(tmp_path, monkeypatch):
+    monkeypatch.setenv("ATARI_DQN_STATE", str(tmp_path / "state"))
+    torch.set_num_threads(1)
+
+
+@pytest.fixture
+def small():
+    """Makes parameters of a run that takes a second or two; keywords change them."""
+    return lambda **changes: Parameters.model_validate({**SMALL, **changes})

@@ -1,0 +1,168 @@
+import numpy as np
+import pytest
+import torch
+from torch import nn
+
+from atari_dqn.agents import AGENTS, Learner, double_q_learning, q_learning
+from atari_dqn.networks import FEATURES, DuelingNetwork, NatureNetwork
+from atari_dqn.replay import Batch
+
+# Q-values of two next states, three actions; the networks disagree about the best one.
+TARGET = torch.tensor([[1.0, 5.0, 2.0], [4.0, 0.0, -1.0]])
+ONLINE = torch.tensor([[9.0, 1.0, 0.0], [0.0, 1.0, 7.0]])
+
+
+def test_dqn_takes_the_target_networks_own_maximum():
+    assert q_learning(TARGET, None, None).tolist() == [5.0, 4.0]
+
+
+def test_double_dqn_takes_the_target_value_of_the_online_networks_choice():
+    assert double_q_learning(TARGET, None, lambda _: ONLINE).tolist() == [1.0, -1.0]
+
+
+def test_the_dueling_agent_is_double_dqn_with_another_network():
+    double, dueling = AGENTS["double_dqn"], AGENTS["dueling_double_dqn"]
+    assert double.value is dueling.value
+    assert (double.network, dueling.network) == (NatureNetwork, DuelingNetwork)
+
+
+def batch_of(count, rng, terminated=()):
+    continues = np.ones(count, np.float32)
+    continues[list(terminated)] = 0
+    return Batch(
+        s_tm1=rng.integers(256, size=(count, 84, 84, 4), dtype=np.uint8),
+        a_tm1=rng.integers(18, size=count),
+        r_t=rng.choice([-1.0, 0.0, 1.0], count).astype(np.float32),
+        continues=continues,
+        s_t=rng.integers(256, size=(count, 84, 84, 4), dtype=np.uint8),
+    )
+
+
+class PlainNature(nn.Module):
+    """The source report's network, written anew: channels first, 64-bit."""
+
+    def __init__(self, weights):
+        super().__init__()
+        self.weights = weights
+
+    def features(self, observations):
+        w = self.weights
+        x = observations.permute(0, 3, 1, 2).double() / 255
+        for layer, stride in ((0, 4), (2, 2), (4, 1)):
+            kernel = w[f"convolutions.{layer}.weight"], w[f"convolutions.{layer}.bias"]
+            x = torch.relu(nn.functional.conv2d(x, *kernel, stride=stride))
+        return x.permute(0, 2, 3, 1).flatten(1)
+
+    def stream(self, x, hidden, output):
+        w = self.weights
+        x = torch.relu(x @ w[f"{hidden}.weight"].T + w[f"{hidden}.bias"])
+        return x @ w[f"{output}.weight"].T + w[f"{output}.bias"]
+
+    def forward(self, observations):
+        x = self.features(observations)
+        if "hidden.weight" in self.weights:
+            return self.stream(x, "hidden", "output")
+        value = self.stream(x, "value_hidden", "value_output")
+        advantage = self.stream(x, "advantage_hidden", "advantage_output")
+        return value + (advantage - advantage.mean(1, keepdim=True))
+
+
+def doubled(network):
+    return {name: value.detach().double() for name, value in network.named_parameters()}
+
+
+@pytest.mark.parametrize("agent", AGENTS)
+def test_one_update_equals_an_independent_computation(agent, small):
+    """Target, loss, gradient and Adam's step, in 64 bits and without any of our code."""
+    parameters = small(gamma=0.9, learning_rate=1e-3)
+    learner = Learner(AGENTS[agent], 18, parameters, seed=0)
+    with torch.no_grad():  # else both networks would agree about the best action
+        for weight in learner.target.parameters():
+            weight.add_(torch.randn(weight.shape, generator=torch.manual_seed(1)) * 0.02)
+    batch = batch_of(6, np.random.default_rng(0), terminated=[2])
+    weights = {name: w.requires_grad_() for name, w in doubled(learner.online).items()}
+    online, target = PlainNature(weights), PlainNature(doubled(learner.target))
+    s_tm1, s_t = torch.from_numpy(batch.s_tm1), torch.from_numpy(batch.s_t)
+    with torch.no_grad():
+        q_target, q_online = target(s_t).numpy(), online(s_t).numpy()
+    best = (q_target if agent == "dqn" else q_online).argmax(1)
+    if agent != "dqn":
+        assert (best != q_target.argmax(1)).any(), "the test would not tell the rules apart"
+    value = q_target[np.arange(6), best]
+    expected = batch.r_t + 0.9 * np.where(batch.continues > 0, value, 0.0)
+    taken = online(s_tm1)[torch.arange(6), torch.from_numpy(batch.a_tm1)]
+    loss = ((taken - torch.from_numpy(expected)) ** 2).mean()
+    loss.backward()
+    mean_loss, mean_q = learner.learn(batch, 1)
+    assert mean_loss == pytest.approx(loss.item(), rel=1e-4)
+    assert mean_q == pytest.approx(taken.mean().item(), rel=1e-4)
+    for name, after in learner.online.named_parameters():
+        gradient = weights[name].grad.numpy()
+        # Adam's first step: the bias-corrected moments are the gradient and its square.
+        step = 1e-3 * gradient / (np.abs(gradient) + 1e-8)
+        sure = np.abs(gradient) > 1e-5  # elsewhere rounding decides the sign of the step
+        wanted = weights[name].detach().numpy() - step
+        np.testing.assert_allclose(after.detach().numpy()[sure], wanted[sure], atol=2e-5)
+        assert sure.any()
+
+
+def test_a_shared_batch_of_updates_equals_one_update_after_another(small):
+    rng = np.random.default_rng(1)
+    both = batch_of(8, rng)
+    halves = [
+        Batch(**{name: value[part] for name, value in vars(both).items()})
+        for part in (slice(0, 4), slice(4, 8))
+    ]
+    together, apart = (Learner(AGENTS["double_dqn"], 18, small(), seed=3) for _ in range(2))
+    together.learn(both, 2)
+    for half in halves:
+        apart.learn(half, 1)
+    assert together.updates == apart.updates == 2
+    for one, other in zip(together.online.parameters(), apart.online.parameters(), strict=True):
+        torch.testing.assert_close(one, other, rtol=1e-4, atol=1e-6)
+
+
+@pytest.mark.parametrize("tau", [1.0, 0.25])
+def test_the_target_network_moves_by_tau_every_period_and_not_before(small, tau):
+    learner = Learner(AGENTS["dqn"], 18, small(target_update_period=3, tau=tau), seed=0)
+    start = [weight.clone() for weight in learner.target.parameters()]
+    rng = np.random.default_rng(0)
+    assert learner.updates_until_target() == 3
+    learner.learn(batch_of(8, rng), 2)
+    assert all(torch.equal(a, b) for a, b in zip(start, learner.target.parameters(), strict=True))
+    assert learner.updates_until_target() == 1
+    learner.learn(batch_of(4, rng), 1)
+    for was, now, online in zip(
+        start, learner.target.parameters(), learner.online.parameters(), strict=True
+    ):
+        torch.testing.assert_close(now, (1 - tau) * was + tau * online)
+
+
+@pytest.mark.parametrize(
+    ("network", "hidden"), [(NatureNetwork, ["hidden"]), (DuelingNetwork, ["value_hidden"])]
+)
+def test_networks_have_the_papers_layers(network, hidden):
+    made = network(4, 18)
+    layers = [layer for layer in made.convolutions if isinstance(layer, nn.Conv2d)]
+    assert [(c.out_channels, c.kernel_size[0], c.stride[0]) for c in layers] == [
+        (32, 8, 4),
+        (64, 4, 2),
+        (64, 3, 1),
+    ]
+    assert getattr(made, hidden[0]).weight.shape == (512, FEATURES)
+    parameters = sum(weight.numel() for weight in made.parameters())
+    convolutions = 32 * (4 * 64 + 1) + 64 * (32 * 16 + 1) + 64 * (64 * 9 + 1)
+    streams = {NatureNetwork: 1, DuelingNetwork: 2}[network]
+    outputs = 18 * 513 + (513 if network is DuelingNetwork else 0)
+    assert parameters == convolutions + streams * 512 * (FEATURES + 1) + outputs
+    assert made(torch.zeros(2, 84, 84, 4, dtype=torch.uint8)).shape == (2, 18)
+
+
+def test_advantages_of_the_dueling_network_have_no_mean():
+    """Adding a constant to every advantage must not change Q."""
+    network = DuelingNetwork(4, 18)
+    observation = torch.randint(256, (3, 84, 84, 4), dtype=torch.uint8)
+    with torch.no_grad():
+        before = network(observation)
+        network.advantage_output.bias += 10
+        torch.testing.assert_close(network(observation), before, rtol=1e-4, atol=1e-4)

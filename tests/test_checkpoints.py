@@ -1,0 +1,117 @@
+import json
+import os
+
+import numpy as np
+import pytest
+
+from atari_dqn import checkpoints
+from atari_dqn.checkpoints import CheckpointError
+
+STATE = {
+    "number": 3,
+    "nothing": float("inf"),
+    "big": 2**127 + 1,
+    "nested": {"array": np.arange(12.0).reshape(3, 4).T, "scalar": np.array(7.0, np.float32)},
+    "bytes": b"\x00\x01",
+    "list": [{"bytes": b"abc"}, {"bytes": b""}],
+    "chunks": [b"one", b"", b"three"],
+}
+
+
+def test_what_is_saved_comes_back(tmp_path):
+    checkpoints.save(tmp_path, 5, STATE)
+    loaded = checkpoints.load(tmp_path)
+    assert loaded["big"] == STATE["big"]
+    assert loaded["nothing"] == STATE["nothing"]
+    assert loaded["bytes"] == b"\x00\x01"
+    assert loaded["list"] == STATE["list"]
+    assert loaded["chunks"] == STATE["chunks"]
+    np.testing.assert_array_equal(loaded["nested"]["array"], STATE["nested"]["array"])
+    assert loaded["nested"]["scalar"].shape == ()
+
+
+def test_no_checkpoint_is_none(tmp_path):
+    assert checkpoints.load(tmp_path / "nowhere") is None
+
+
+def test_the_newest_two_are_kept_and_the_newest_is_loaded(tmp_path):
+    for number in (1, 20, 300):
+        checkpoints.save(tmp_path, number, {"number": number})
+    assert [path.name for path in sorted(tmp_path.iterdir())] == [
+        "step-000000000020",
+        "step-000000000300",
+    ]
+    assert checkpoints.load(tmp_path)["number"] == 300
+
+
+def damage_by_truncation(folder):
+    path = folder / "chunks.bin"
+    path.write_bytes(path.read_bytes()[:-1])
+
+
+def damage_by_a_flipped_bit(folder):
+    path = folder / "arrays.safetensors"
+    data = bytearray(path.read_bytes())
+    data[-1] ^= 1
+    path.write_bytes(data)
+
+
+def damage_by_a_missing_file(folder):
+    (folder / "state.json").unlink()
+
+
+def damage_by_a_torn_manifest(folder):
+    (folder / "manifest.json").write_text('{"state.json": ')
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        damage_by_truncation,
+        damage_by_a_flipped_bit,
+        damage_by_a_missing_file,
+        damage_by_a_torn_manifest,
+    ],
+)
+def test_a_damaged_checkpoint_is_passed_over_with_a_warning(tmp_path, damage):
+    for number in (1, 2):
+        checkpoints.save(tmp_path, number, {**STATE, "number": number})
+    damage(tmp_path / "step-000000000002")
+    with pytest.warns(UserWarning, match="step-000000000002 is damaged"):
+        assert checkpoints.load(tmp_path)["number"] == 1
+    damage(tmp_path / "step-000000000001")
+    with (
+        pytest.warns(UserWarning, match="damaged"),
+        pytest.raises(CheckpointError, match="every checkpoint in"),
+    ):
+        checkpoints.load(tmp_path)
+
+
+def test_an_unfinished_write_is_never_seen_and_is_cleared_away(tmp_path):
+    checkpoints.save(tmp_path, 1, {"number": 1})
+    (tmp_path / "tmp-99").mkdir()
+    (tmp_path / "tmp-99" / "state.json").write_text("{}")
+    assert checkpoints.load(tmp_path)["number"] == 1
+    checkpoints.save(tmp_path, 2, {"number": 2})
+    assert not (tmp_path / "tmp-99").exists()
+
+
+def test_a_full_disk_is_a_clear_error_and_the_last_checkpoint_stays(tmp_path, monkeypatch):
+    checkpoints.save(tmp_path, 1, {"number": 1})
+
+    def no_space(descriptor):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", no_space)
+    with pytest.raises(CheckpointError, match="step-000000000002: No space left on device"):
+        checkpoints.save(tmp_path, 2, {"number": 2})
+    monkeypatch.undo()
+    assert checkpoints.load(tmp_path)["number"] == 1
+    assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_nothing_in_a_checkpoint_is_a_pickle(tmp_path):
+    checkpoints.save(tmp_path, 1, STATE)
+    folder = tmp_path / "step-000000000001"
+    assert {path.suffix for path in folder.iterdir()} == {".json", ".safetensors", ".bin"}
+    json.loads((folder / "state.json").read_text())

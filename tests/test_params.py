@@ -1,0 +1,119 @@
+from pathlib import Path
+
+import pytest
+
+from atari_dqn import experiments, params
+from atari_dqn.params import ParameterError, Parameters
+
+ROOT = Path(__file__).parents[1]
+
+
+def write(folder, text, name="mine.yaml"):
+    path = folder / name
+    path.write_text(text)
+    return path
+
+
+@pytest.mark.parametrize("profile", params.PROFILES)
+def test_every_committed_file_loads_and_names_every_training_parameter(profile):
+    files = experiments.files(profile)
+    assert files
+    for path in files:
+        values = params.read_values(path)
+        assert params.load(path).profile == profile
+        assert set(values) | {"device"} == set(Parameters.model_fields), path
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "params").rglob("*.yaml")), ids=str)
+def test_every_value_in_a_committed_file_has_its_unit_beside_it(path):
+    for line in path.read_text().splitlines():
+        assert not line or "# " in line, line
+
+
+def test_small_versions_differ_from_the_full_ones_in_size_only():
+    size = {
+        *("profile", "episodes", "max_game_frames", "replay_capacity", "learning_starts"),
+        *("update_period", "target_update_period", "epsilon_decay", "evaluation_games"),
+    }
+    for profile in ("quick", "smoke"):
+        for path in experiments.files(profile):
+            full = params.load(ROOT / "params" / path.name).model_dump(exclude=size)
+            assert params.load(path).model_dump(exclude=size) == full, path
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("epsiodes: 3", "unknown key 'epsiodes': did you mean 'episodes'?"),
+        ("gamma: 0.9\ngamma: 0.8", 'line 2: found duplicate key "gamma"'),
+        ("batch_size: 1.5", "batch_size: 1.5 is not allowed: input should be a valid integer"),
+        ("clip_rewards: 1", "clip_rewards: 1 is not allowed: input should be a valid boolean"),
+        ("gamma: 1.0", "gamma: 1.0 is not allowed: input should be less than 1"),
+        ("learning_rate: fast", "learning_rate: 'fast' is not allowed"),
+        ("learning_rate: .nan", "learning_rate: nan is not allowed"),
+        ("game: pong", "game: 'pong' is not allowed: input should be 'boxing' or 'breakout'"),
+        ("agents: [dqn, ddqn]", "agents.1: 'ddqn' is not allowed"),
+        ("agents: [dqn, dqn]", "no value may be listed twice"),
+        ("seeds: [-1]", "seeds.0: -1 is not allowed"),
+        ("game: breakout\ndifficulty: 3", "difficulty: 3 is not allowed: breakout has (0, 1)"),
+        ("environments: 3", "replay_capacity: 1000000 is not allowed: a multiple"),
+        ("epsilon_start: 0.005", "epsilon_floor: 0.01 is not allowed: above epsilon_start"),
+        ("experiment: other", "must be the file's name, 'mine'"),
+        ("gamma: [", "line "),
+        ("just words", "expected lines of 'key: value'"),
+    ],
+)
+def test_a_bad_file_is_one_clear_line_with_file_key_and_value(tmp_path, text, said):
+    path = write(tmp_path, text)
+    with pytest.raises(ParameterError) as caught:
+        params.load(path)
+    message = str(caught.value)
+    assert said in message
+    assert str(path) in message
+    assert "\n" not in message
+
+
+def test_a_missing_file_is_named(tmp_path):
+    with pytest.raises(ParameterError, match=r"nowhere\.yaml: no such file"):
+        params.load(tmp_path / "nowhere.yaml")
+
+
+@pytest.mark.parametrize("text", ["1e-4", "1.0e-4", "0.0001", "'1e-4'"])
+def test_a_learning_rate_may_be_written_in_any_notation(tmp_path, text):
+    assert params.load(write(tmp_path, f"learning_rate: {text}")).learning_rate == 1e-4
+
+
+def test_identity_ignores_episodes_and_defaults_but_not_training():
+    plain = Parameters(experiment="a")
+    assert plain.identity() == Parameters(experiment="b", episodes=9, gamma=0.99).identity()
+    assert plain.identity() != Parameters(experiment="a", gamma=0.9).identity()
+
+
+def test_overrides_move_an_experiment_to_a_name_of_its_own(tmp_path):
+    path = write(tmp_path, "gamma: 0.9")
+    changed = params.load(path, {"gamma": 0.8})
+    assert changed.experiment == f"mine+{changed.identity()[:8]}"
+    # one seed, or a value that is the file's own, is no change
+    assert params.load(path, {"seeds": [7], "gamma": 0.9}).experiment == "mine"
+    # more games continue the very same run
+    longer, longest = params.load(path, {"episodes": 10}), params.load(path, {"episodes": 20})
+    assert longer.experiment == longest.experiment != "mine"
+
+
+def test_values_injected_into_a_notebook_are_overrides_of_the_file_they_name(tmp_path):
+    write(tmp_path, "gamma: 0.9\nlearning_rate: 1e-3")
+    values = {"experiment": "mine", "learning_rate": "1e-3"}
+    assert params.resolve(values, tmp_path) == params.load(tmp_path / "mine.yaml")
+    assert params.resolve({**values, "gamma": 0.8}, tmp_path).experiment.startswith("mine+")
+
+
+def test_what_is_dumped_reads_back_the_same(tmp_path, small):
+    path = tmp_path / "small.yaml"
+    params.dump(small(gamma=0.5), path)
+    assert params.load(path) == small(gamma=0.5)
+
+
+@pytest.mark.parametrize("text", ["gamma", "=3", "gamma=["])
+def test_a_bad_override_says_what_is_expected(text):
+    with pytest.raises(ParameterError, match="--set"):
+        params.parse_override(text)

@@ -1,0 +1,245 @@
+"""A run as a user sees it: its folder, its states, and the command line."""
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import fields
+
+import pandas as pd
+import pytest
+from safetensors.torch import load_file
+
+from atari_dqn import checkpoints, evaluation, params, runs
+from atari_dqn.runs import Run, RunError
+from atari_dqn.training import Episode, Trainer
+
+FILES = {
+    *("params.yaml", "episodes.csv", "timing.csv", "evaluations.csv", "model.safetensors"),
+    *("status.json", "provenance.json"),
+}
+
+
+def command(*arguments, **options):
+    return subprocess.run(
+        [sys.executable, "-m", "atari_dqn", *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        **options,
+    )
+
+
+def write(folder, parameters):
+    path = folder / f"{parameters.experiment}.yaml"
+    params.dump(parameters, path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """A finished run, made through the command line."""
+    from conftest import SMALL
+
+    folder = tmp_path_factory.mktemp("finished")
+    path = write(folder, params.Parameters(**SMALL))
+    environment = {**os.environ, "ATARI_DQN_STATE": str(folder / "state")}
+    result = command("train", path, "--results", folder, "--seed", 3, env=environment)
+    assert result.returncode == 0, result.stderr
+    return folder / "runs" / "small" / "double_dqn" / "seed-3", result, environment
+
+
+def test_a_finished_runs_folder_holds_all_it_promises(finished):
+    folder, result, _ = finished
+    assert {path.name for path in folder.iterdir()} == FILES
+    assert "complete: 3 games" in result.stdout
+    assert json.loads((folder / "status.json").read_text()) == {
+        "state": "complete",
+        "episodes_done": 3,
+        "episodes": 3,
+    }
+    episodes = pd.read_csv(folder / "episodes.csv")
+    assert list(episodes) == [field.name for field in fields(Episode)]
+    assert episodes.episode.tolist() == [1, 2, 3]
+    assert episodes.loss.notna().all()
+    assert (episodes.score % 1 == 0).all()
+    evaluations = pd.read_csv(folder / "evaluations.csv")
+    assert evaluations.game.tolist() == [0, 1]
+    assert {"score", "length", "won", "knockout", "difficulty"} <= set(evaluations)
+    provenance = json.loads((folder / "provenance.json").read_text())
+    assert provenance["threads"] == 1
+    assert provenance["resumes"] == 0
+    assert provenance["versions"]["torch"]
+
+
+def test_the_published_model_is_the_trained_one_in_half_precision(finished, small):
+    folder, _, _ = finished
+    weights = load_file(folder / "model.safetensors")
+    assert {str(value.dtype) for value in weights.values()} == {"torch.float16"}
+    trainer = Trainer(small(), "double_dqn", 3)
+    for episode in trainer.run():
+        if episode is not None and episode.episode == 3:
+            break
+    for name, value in trainer.learner.online.state_dict().items():
+        assert (weights[name] == value.half()).all(), name
+
+
+def test_a_complete_run_is_not_trained_again(finished):
+    folder, _, environment = finished
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    result = command(
+        "train", folder.parents[3] / "small.yaml", "--results", folder.parents[3], "--seed", 3,
+        env=environment,
+    )  # fmt: skip
+    assert result.returncode == 0
+    assert "is complete" in result.stdout
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+
+
+def test_evaluate_stores_games_beside_those_of_other_settings(finished, tmp_path):
+    source, _, environment = finished
+    folder = tmp_path / "seed-3"
+    shutil.copytree(source, folder)
+    video = tmp_path / "game.mp4"
+    arguments = ["evaluate", folder, "--games", 3, "--difficulty", 3, "--sticky", 0.25]
+    result = command(*arguments, "--video", video, env=environment)
+    assert result.returncode == 0, result.stderr
+    assert result.stdout.startswith("3 games: mean score")
+    assert video.read_bytes()[4:8] == b"ftyp"
+    stored = pd.read_csv(folder / "evaluations.csv")
+    assert stored.difficulty.tolist() == [0, 0, 3, 3, 3]
+    first = (folder / "evaluations.csv").read_bytes()
+    command(*arguments, env=environment)
+    assert (folder / "evaluations.csv").read_bytes() == first, "the same games, once"
+
+
+def test_evaluation_games_do_not_depend_on_how_many_are_played_at_once(finished, monkeypatch):
+    folder, _, _ = finished
+    parameters = params.parse(params.read_values(folder / "params.yaml"), "stored")
+    network = evaluation.load_model(folder / "model.safetensors", parameters)
+    played = {}
+    for emulators in (1, 3):
+        monkeypatch.setattr(evaluation, "EMULATORS", emulators)
+        games = list(evaluation.play(network, parameters, 4, seed=1))
+        played[emulators] = sorted(games, key=lambda game: game.game)
+    assert played[1] == played[3]
+    assert len({(game.score, game.length) for game in played[1]}) > 1
+
+
+def bad(*arguments):
+    result = command(*arguments)
+    assert result.returncode == 2, result.stderr
+    assert "Traceback" not in result.stderr
+    return result.stderr.strip().splitlines()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--set", "epsiodes=3"], "unknown key 'epsiodes': did you mean 'episodes'?"),
+        (["--agent", "ddqn"], "agent: 'ddqn' is not allowed"),
+        (["--set", "gamma=2"], "gamma: 2 is not allowed"),
+        (["--seed", "-4"], "seed: -4 is not allowed"),
+    ],
+)
+def test_bad_input_is_one_line_and_creates_nothing(tmp_path, small, arguments, said):
+    path = write(tmp_path, small())
+    lines = bad("train", path, "--results", tmp_path / "results", *arguments)
+    assert len(lines) == 1
+    assert said in lines[0]
+    assert not (tmp_path / "results").exists()
+
+
+def test_evaluating_what_is_no_run_is_a_clear_error(tmp_path):
+    result = command("evaluate", tmp_path)
+    assert result.returncode in (1, 2)
+    assert "no model.safetensors here" in result.stderr
+    assert "Traceback" not in result.stderr
+
+
+def test_overrides_go_to_a_folder_of_their_own(tmp_path, small):
+    path = write(tmp_path, small(episodes=1))
+    result = command("train", path, "--results", tmp_path, "--set", "gamma=0.5")
+    assert result.returncode == 0, result.stderr
+    (folder,) = (tmp_path / "runs").iterdir()
+    assert folder.name == f"small+{small(gamma=0.5).identity()[:8]}"
+
+
+def test_raising_the_number_of_games_continues_a_finished_run(tmp_path, small):
+    def trained(folder, *lengths):
+        for episodes in lengths:
+            run = Run(small(episodes=episodes), tmp_path / folder)
+            os.environ["ATARI_DQN_STATE"] = str(tmp_path / folder / "state")
+            runs.train(run)
+        return run
+
+    stepwise, at_once = trained("stepwise", 2, 5), trained("at_once", 5)
+    for name in ("episodes.csv", "model.safetensors", "evaluations.csv"):
+        assert (stepwise.folder / name).read_bytes() == (at_once.folder / name).read_bytes()
+    provenance = json.loads((stepwise.folder / "provenance.json").read_text())
+    assert provenance["resumes"] == 1
+
+
+def test_a_run_that_no_longer_matches_is_stale_and_stays_untouched(tmp_path, small):
+    run = Run(small(episodes=1), tmp_path)
+    runs.train(run)
+    other = Run(small(episodes=1, gamma=0.5), tmp_path)
+    assert (run.state(), other.state()) == ("complete", "stale")
+    before = (run.folder / "episodes.csv").read_bytes()
+    with pytest.raises(RunError, match=r"no longer matches: gamma was 0\.99, now 0\.5"):
+        runs.train(other)
+    assert (run.folder / "episodes.csv").read_bytes() == before
+
+
+def test_a_run_of_another_training_version_is_stale(tmp_path, small, monkeypatch):
+    run = Run(small(episodes=1), tmp_path)
+    runs.train(run)
+    monkeypatch.setattr(runs, "TRAINING_VERSION", 99)
+    assert run.state() == "stale"
+
+
+def start(path, results, interval):
+    """A training process of its own, which checkpoints often."""
+    program = (
+        "import sys; from pathlib import Path; from atari_dqn import params, runs;"
+        f"runs.CHECKPOINT_SECONDS = {interval};"
+        "runs.train(runs.Run(params.load(sys.argv[1]), Path(sys.argv[2])))"
+    )
+    return subprocess.Popen([sys.executable, "-c", program, str(path), str(results)])
+
+
+@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGTERM])
+def test_a_killed_run_continues_as_if_nothing_had_happened(tmp_path, small, how, monkeypatch):
+    path = write(tmp_path, small(episodes=10, replay_capacity=100))
+    run = Run(params.load(path), tmp_path / "killed")
+    process = start(path, run.results, interval=0.0)
+    while not list(run.state_folder.glob("step-*")) or run.status()["episodes_done"] < 2:
+        assert process.poll() is None, "ended before it could be killed"
+        time.sleep(0.05)
+    process.send_signal(how)
+    process.wait()
+    assert run.state() == "interrupted"
+    assert len(checkpoints.load(run.state_folder)["trainer"]["memory"]["frames"]) > 0
+    runs.train(run)
+    monkeypatch.setenv("ATARI_DQN_STATE", str(tmp_path / "elsewhere"))
+    whole = Run(params.load(path), tmp_path / "whole")
+    runs.train(whole)
+    for name in ("episodes.csv", "model.safetensors", "evaluations.csv"):
+        assert (run.folder / name).read_bytes() == (whole.folder / name).read_bytes()
+
+
+def test_a_run_is_not_trained_by_two_processes_at_once(tmp_path, small):
+    run = Run(small(), tmp_path)
+    with run.lock(), pytest.raises(RunError, match="being trained by another process"):
+        runs.train(run)
+
+
+def test_a_failing_run_says_so_in_its_status(tmp_path, small, monkeypatch):
+    run = Run(small(), tmp_path)
+    monkeypatch.setattr(Trainer, "_learn", lambda self: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        runs.train(run)
+    assert run.state() == "failed"
+    assert "ZeroDivisionError" in run.status()["error"]

@@ -1,0 +1,111 @@
+"""Real, tiny training runs on the real cartridges."""
+
+import numpy as np
+import pytest
+import torch
+
+from atari_dqn import checkpoints
+from atari_dqn.agents import AGENTS
+from atari_dqn.training import Trainer
+
+
+def flat(state, name=""):
+    """A nested state as {path: bytes or value}, comparable with ==."""
+    if isinstance(state, dict):
+        return {k: v for key in state for k, v in flat(state[key], f"{name}.{key}").items()}
+    if isinstance(state, list | tuple):
+        return {k: v for i, s in enumerate(state) for k, v in flat(s, f"{name}.{i}").items()}
+    if isinstance(state, torch.Tensor):
+        state = state.numpy()
+    if isinstance(state, np.ndarray):
+        return {name: (state.dtype.str, state.shape, state.tobytes())}
+    return {name: repr(state)}
+
+
+def episodes_after(trainer, steps):
+    """Trains for `steps` vector steps; the games that ended."""
+    running = trainer.run()
+    return [repr(episode) for _, episode in zip(range(steps), running, strict=False) if episode]
+
+
+@pytest.mark.parametrize("agent", AGENTS)
+@pytest.mark.parametrize("game", ["boxing", "breakout"])
+def test_the_same_seed_gives_the_same_run_and_another_seed_another(small, agent, game):
+    parameters = small(game=game, epsilon_start=0.5)
+    first, again, other = (Trainer(parameters, agent, seed) for seed in (1, 1, 2))
+    games = [episodes_after(trainer, 120) for trainer in (first, again, other)]
+    assert games[0] == games[1] != games[2]
+    assert flat(first.get_state()) == flat(again.get_state()) != flat(other.get_state())
+    assert first.learner.updates > 20
+
+
+# Before learning begins, in the middle of games, right after a target update, and after the ring
+# of 40 rows has wrapped.
+@pytest.mark.parametrize("stop", [3, 33, 57, 100])
+@pytest.mark.parametrize("agent", ["dqn", "dueling_double_dqn"])
+def test_a_resumed_run_is_bit_for_bit_the_one_that_was_never_stopped(small, tmp_path, stop, agent):
+    parameters = small(replay_capacity=80, sticky_actions=0.25, epsilon_start=0.3)
+    whole = Trainer(parameters, agent, 1)
+    expected = episodes_after(whole, 150)
+    stopped, resumed = Trainer(parameters, agent, 1), Trainer(parameters, agent, 1)
+    games = episodes_after(stopped, stop)
+    checkpoints.save(tmp_path / "saved", 1, stopped.get_state())
+    resumed.set_state(checkpoints.load(tmp_path / "saved"))
+    games += episodes_after(resumed, 150 - stop)
+    assert games == expected
+    assert flat(resumed.get_state()) == flat(whole.get_state())
+
+
+@pytest.mark.parametrize(
+    "lost",
+    ["rng", "memory.rng", "learner.target", "learner.moments", "games.games"],
+)
+def test_a_resume_that_loses_one_piece_of_state_diverges(small, lost):
+    """The test above would notice: its comparison sees each piece."""
+    parameters = small(replay_capacity=80, sticky_actions=0.25, epsilon_start=0.3)
+    whole, stopped, resumed, fresh = (Trainer(parameters, "dqn", 1) for _ in range(4))
+    episodes_after(whole, 90)
+    episodes_after(stopped, 50)
+    episodes_after(fresh, 40)
+    state, initial = stopped.get_state(), fresh.get_state()
+    *path, last = lost.split(".")
+    place, source = state, initial
+    for key in path:
+        place, source = place[key], source[key]
+    place[last] = source[last]
+    resumed.set_state(state)
+    episodes_after(resumed, 40)
+    assert flat(resumed.get_state()) != flat(whole.get_state())
+
+
+def test_updates_are_due_every_period_after_learning_starts(small):
+    trainer = Trainer(small(update_period=3, learning_starts=50), "dqn", 1)
+    for _ in zip(range(40), trainer.run(), strict=False):
+        assert trainer.learner.updates == max(0, trainer.agent_steps - 50) // 3
+    assert trainer.agent_steps == 80
+
+
+def test_nothing_depends_on_how_many_games_are_planned(small):
+    few, many = (Trainer(small(episodes=n), "dqn", 1) for n in (1, 1000))
+    assert episodes_after(few, 90) == episodes_after(many, 90)
+
+
+def test_the_step_that_restarts_a_game_is_never_learned_from(small):
+    trainer = Trainer(small(max_game_frames=100, replay_capacity=200), "dqn", 1)
+    episodes_after(trainer, 90)
+    rows, streams = trainer.memory._draw(2000)
+    assert (trainer.memory.ages[rows, streams] > 0).all()
+    restarts = (trainer.memory.ages[: trainer.memory.row] == 0).sum()
+    assert restarts > 2  # the first images, and restarts
+    played = trainer.memory.row * 2 - restarts
+    assert trainer.agent_steps == played
+
+
+def test_games_that_end_together_are_numbered_and_reported_one_by_one(small):
+    trainer = Trainer(small(environments=4, replay_capacity=400), "dqn", 1)
+    episodes = [e for _, e in zip(range(120), trainer.run(), strict=False) if e]
+    assert [episode.episode for episode in episodes] == list(range(1, len(episodes) + 1))
+    assert len(episodes) >= 4
+    frames = [episode.frames for episode in episodes]
+    assert frames == sorted(frames)
+    assert frames[0] > 0
