@@ -166,3 +166,43 @@ def test_advantages_of_the_dueling_network_have_no_mean():
         before = network(observation)
         network.advantage_output.bias += 10
         torch.testing.assert_close(network(observation), before, rtol=1e-4, atol=1e-4)
+
+
+def corridor():
+    """A deterministic problem with a known optimum, as one batch of all its transitions.
+
+    Four places in a row; action 1 goes right and pays 1 at the end of the row, action 0 goes left
+    and pays 0.3 at its other end. Both ends are final.
+    """
+    pictures = np.zeros((4, 84, 84, 4), np.uint8)
+    for place in range(4):
+        pictures[place, :, 21 * place : 21 * (place + 1)] = 255
+    places, actions = np.repeat(np.arange(4), 2), np.tile([0, 1], 4)
+    following = places + np.where(actions == 1, 1, -1)
+    ended = (following < 0) | (following > 3)
+    rewards = np.where(following > 3, 1.0, np.where(following < 0, 0.3, 0.0))
+    following = following.clip(0, 3)
+    batch = Batch(
+        s_tm1=pictures[places],
+        a_tm1=actions,
+        r_t=rewards.astype(np.float32),
+        continues=1 - ended.astype(np.float32),
+        s_t=pictures[following],
+    )
+    optimum = np.zeros((4, 2))
+    for _ in range(50):  # value iteration
+        values = rewards + 0.8 * np.where(ended, 0.0, optimum.max(1)[following])
+        optimum[places, actions] = values
+    return batch, pictures, optimum
+
+
+@pytest.mark.parametrize("agent", AGENTS)
+def test_each_agent_finds_the_known_optimum_of_a_small_problem(agent, small):
+    batch, pictures, optimum = corridor()
+    parameters = small(gamma=0.8, learning_rate=3e-4, target_update_period=20)
+    learner = Learner(AGENTS[agent], 2, parameters, seed=1)
+    for _ in range(240):
+        learner.learn(batch, 1)
+    found = learner.q_values(pictures)
+    np.testing.assert_allclose(found, optimum, atol=0.04)
+    assert (found.argmax(1) == optimum.argmax(1)).all()

@@ -34,6 +34,7 @@ def test_small_versions_differ_from_the_full_ones_in_size_only():
     size = {
         *("profile", "episodes", "max_game_frames", "replay_capacity", "learning_starts"),
         *("update_period", "target_update_period", "epsilon_decay", "evaluation_games"),
+        "snapshot_games",
     }
     for profile in ("quick", "smoke"):
         for path in experiments.files(profile):

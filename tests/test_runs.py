@@ -18,7 +18,14 @@ from atari_dqn.runs import Run, RunError
 from atari_dqn.training import Episode, Trainer
 
 FILES = {
-    *("params.yaml", "episodes.csv", "timing.csv", "evaluations.csv", "model.safetensors"),
+    *(
+        "params.yaml",
+        "episodes.csv",
+        "timing.csv",
+        "values.csv",
+        "evaluations.csv",
+        "model.safetensors",
+    ),
     *("status.json", "provenance.json"),
 }
 

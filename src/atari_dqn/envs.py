@@ -276,8 +276,7 @@ class LockstepGames:
                 continue
             image, raw, terminated[index], truncated, info = game.step(int(actions[index]))
             self.planes[-1, index] = image.reshape(-1)
-            rewards[index] = np.sign(raw) if self.params.clip_rewards else raw
-            rewards[index] -= self.params.life_loss_penalty * info["life_lost"]
+            rewards[index] = learned_reward(self.params, raw, info["life_lost"])
             if terminated[index] or truncated:
                 self.ended[index] = True
                 finished.append(FinishedGame(game.score, game.length, game.frames))
@@ -296,6 +295,12 @@ class LockstepGames:
             game.set_state(saved)
         self.planes[:] = state["planes"]
         self.ended[:] = state["ended"]
+
+
+def learned_reward(params: Parameters, raw: float, life_lost: bool) -> float:
+    """What is learned from a step's game points: clipped, then less the life-loss penalty."""
+    reward = float(np.sign(raw)) if params.clip_rewards else raw
+    return reward - params.life_loss_penalty * life_lost
 
 
 def interleave(planes: np.ndarray) -> np.ndarray:

@@ -11,11 +11,11 @@ from pathlib import Path
 import av
 import numpy as np
 import torch
-from safetensors.torch import load_file, save_file
+from safetensors.torch import load_file, save
 from torch import nn
 
 from atari_dqn.agents import AGENTS, torch_device
-from atari_dqn.envs import SIZE, AtariGame, interleave
+from atari_dqn.envs import SIZE, AtariGame, interleave, learned_reward
 from atari_dqn.exploration import epsilon_greedy
 from atari_dqn.params import Parameters
 
@@ -38,10 +38,10 @@ class PlayedGame:
     seed: int
 
 
-def save_model(network: nn.Module, path: Path) -> None:
-    """Writes the weights as float16."""
+def model_bytes(network: nn.Module) -> bytes:
+    """The contents of a model.safetensors: the weights as float16."""
     weights = {name: value.half().contiguous() for name, value in network.state_dict().items()}
-    save_file(weights, path)
+    return save(weights)
 
 
 def load_model(path: Path, params: Parameters) -> nn.Module:
@@ -73,23 +73,26 @@ class _Table:
         self.planes = np.zeros((params.frame_stack, SIZE * SIZE), np.uint8)
         self.game = -1
         self.rng = np.random.default_rng()
+        self.params = params
+        self.rewards: list[float] = []  # of every step, as they are learned from
 
     def start(self, game: int, seed: int) -> None:
         """Begins game number `game`: all that is random in it follows from the two numbers."""
         emulator_seed, action_seed = np.random.SeedSequence([seed, game]).generate_state(2)
         self.planes[:] = self.emulator.reset(seed=int(emulator_seed))[0].reshape(-1)
         self.rng = np.random.default_rng(action_seed)
-        self.game = game
+        self.game, self.rewards = game, []
 
     def step(self, action: int) -> bool:
         """Plays one agent step; true when the game has ended."""
-        image, _, terminated, truncated, _ = self.emulator.step(action)
+        image, raw, terminated, truncated, info = self.emulator.step(action)
+        self.rewards.append(learned_reward(self.params, raw, info["life_lost"]))
         self.planes[:-1] = self.planes[1:]
         self.planes[-1] = image.reshape(-1)
         return terminated or truncated
 
-    def result(self, params: Parameters, epsilon: float, seed: int) -> PlayedGame:
-        emulator = self.emulator
+    def result(self, seed: int) -> PlayedGame:
+        emulator, params = self.emulator, self.params
         return PlayedGame(
             self.game,
             emulator.score,
@@ -99,7 +102,7 @@ class _Table:
             emulator.knockout(),
             params.difficulty,
             params.sticky_actions,
-            epsilon,
+            params.evaluation_epsilon,
             seed,
         )
 
@@ -123,7 +126,7 @@ def play(network: nn.Module, params: Parameters, games: int, seed: int) -> Itera
             action = epsilon_greedy(q_value[None], epsilon, table.rng)[0]
             if not table.step(int(action)):
                 continue
-            yield table.result(params, epsilon, seed)
+            yield table.result(seed)
             following = next(waiting, None)
             if following is None:
                 tables.remove(table)
@@ -136,6 +139,72 @@ def q_of(network: nn.Module, planes: np.ndarray) -> np.ndarray:
     """Q-values float32 [N, A] of images uint8 [stack, N, 84*84]."""
     device = next(network.parameters()).device
     return network(torch.from_numpy(interleave(planes)).to(device)).cpu().numpy()
+
+
+@dataclass(frozen=True)
+class ValueCheck:
+    """How far to trust the Q-values at some point of the training, a row of values.csv."""
+
+    episode: int  # training games finished
+    held_out_q: float  # mean of max_a Q(s, a) over states of random play, the same for all runs
+    predicted: float  # mean of max_a Q(s, a) over the states of a few greedy games
+    realised: float  # mean discounted return, as it is learned from, that followed those states
+    score: float  # points, mean of those greedy games
+
+
+HELD_OUT_STATES, VALUE_GAMES = 512, 4
+
+
+def held_out_states(params: Parameters) -> np.ndarray:
+    """Observations of random play, uint8 [512, 84, 84, stack]: one in eight steps."""
+    table, rng = _Table(params), np.random.default_rng(0)
+    game, states = 0, []
+    table.start(game, seed=0)
+    for step in range(8 * HELD_OUT_STATES):
+        if step % 8 == 0:
+            states.append(interleave(table.planes[:, None])[0])
+        if table.step(int(rng.integers(len(table.emulator.actions)))):
+            game += 1
+            table.start(game, seed=0)
+    return np.stack(states)
+
+
+@torch.no_grad()
+def check_values(
+    network: nn.Module, params: Parameters, held_out: np.ndarray, episode: int, seed: int
+) -> ValueCheck:
+    """Compares predicted values with what then happened (van Hasselt et al., 2016, figure 3)."""
+    device = next(network.parameters()).device
+    tables = [_Table(params) for _ in range(VALUE_GAMES)]
+    for number, table in enumerate(tables):
+        table.start(VALUE_GAMES * episode + number, seed)
+    predictions: list[list[float]] = [[] for _ in tables]
+    playing = list(range(VALUE_GAMES))
+    while playing:
+        q_values = q_of(network, np.stack([tables[number].planes for number in playing], axis=1))
+        for number, q_value in zip(list(playing), q_values, strict=True):
+            predictions[number].append(float(q_value.max()))
+            rng = tables[number].rng
+            action = epsilon_greedy(q_value[None], params.evaluation_epsilon, rng)[0]
+            if tables[number].step(int(action)):
+                playing.remove(number)
+    returns = np.concatenate([discounted(table.rewards, params.gamma) for table in tables])
+    held_out_q = network(torch.from_numpy(held_out).to(device)).max(dim=1).values
+    return ValueCheck(
+        episode,
+        float(held_out_q.mean()),
+        float(np.concatenate(predictions).mean()),
+        float(returns.mean()),
+        float(np.mean([table.emulator.score for table in tables])),
+    )
+
+
+def discounted(rewards: list[float], gamma: float) -> np.ndarray:
+    """The discounted return from every step to the game's end, float64 [steps]."""
+    returns, following = np.zeros(len(rewards)), 0.0
+    for step in reversed(range(len(rewards))):
+        returns[step] = following = rewards[step] + gamma * following
+    return returns
 
 
 def film(network: nn.Module, params: Parameters, path: Path, game: int, seed: int) -> PlayedGame:
@@ -155,4 +224,4 @@ def film(network: nn.Module, params: Parameters, path: Path, game: int, seed: in
             q_value = q_of(network, table.planes[:, None])
             ended = table.step(int(epsilon_greedy(q_value, epsilon, table.rng)[0]))
         container.mux(stream.encode())
-    return table.result(params, epsilon, seed)
+    return table.result(seed)

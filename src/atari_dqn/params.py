@@ -93,11 +93,14 @@ class Parameters(BaseModel):
     tau: Number = Field(1.0, gt=0, le=1, description="share of the way to the online weights")
 
     # Not training
+    snapshot_games: list[Annotated[int, Field(ge=1)]] = Field(
+        [], description="games after which the weights are kept"
+    )
     device: Literal["auto", "cpu", "cuda"] = Field("auto", description="where networks live")
     evaluation_games: int = Field(100, ge=1, description="games of the final evaluation")
     evaluation_epsilon: Number = Field(0.001, ge=0, le=1, description="probability, evaluating")
 
-    @field_validator("agents", "seeds")
+    @field_validator("agents", "seeds", "snapshot_games")
     @classmethod
     def _no_repeats(cls, values: list) -> list:
         if len(set(values)) != len(values):
@@ -135,7 +138,7 @@ class Parameters(BaseModel):
 
 
 NOT_TRAINING = {
-    *("experiment", "profile", "agents", "seeds", "episodes"),
+    *("experiment", "profile", "agents", "seeds", "episodes", "snapshot_games"),
     *("device", "evaluation_games", "evaluation_epsilon"),
 }
 

@@ -4,8 +4,11 @@
         params.yaml         every parameter, resolved
         episodes.csv        a row a training game (training.Episode); the same bytes every time
         timing.csv          episode, seconds of training so far; not reproducible
+        values.csv          a row every 100 games: predicted and realised values
+                            (evaluation.ValueCheck)
         evaluations.csv     a row a game of greedy play (evaluation.PlayedGame)
         model.safetensors   the online network, float16
+        snapshots/          the same after the games that `snapshot_games` names
         status.json         state, episodes_done, episodes
         provenance.json     commit, versions, processor, wall-clock, resumes
 
@@ -25,6 +28,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, fields
 from datetime import UTC, datetime
+from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -37,15 +41,20 @@ from tqdm import tqdm
 
 from atari_dqn import checkpoints, evaluation, params
 from atari_dqn.agents import AGENTS
-from atari_dqn.evaluation import PlayedGame
+from atari_dqn.evaluation import PlayedGame, ValueCheck
 from atari_dqn.params import TRAINING_VERSION, ParameterError, Parameters
-from atari_dqn.training import Episode, Trainer
+from atari_dqn.training import Episode, Trainer, prepare_process
 
 CHECKPOINT_SECONDS = 900.0  # training time between checkpoints
 COMPLETE, RUNNING, INTERRUPTED, FAILED = "complete", "running", "interrupted", "failed"
 MISSING, STALE = "missing", "stale"
 VERSIONED = ("torch", "numpy", "ale-py", "gymnasium", "opencv-python-headless", "zstandard")
-LOGS = ("episodes.csv", "timing.csv")
+LOGS = {
+    "episodes.csv": [field.name for field in fields(Episode)],
+    "timing.csv": ["episode", "seconds"],
+    "values.csv": [field.name for field in fields(ValueCheck)],
+}
+VALUES_PERIOD = 100  # games between rows of values.csv
 
 
 class RunError(RuntimeError):
@@ -164,7 +173,7 @@ def train(run: Run, position: int = 0) -> str:
     SIGTERM and Ctrl-C save a checkpoint, leave the run `interrupted` and raise KeyboardInterrupt.
     `position` is the progress bar's line. Raises RunError if the stored run does not match.
     """
-    torch.set_num_threads(1)
+    prepare_process()
     with run.lock():
         before = run.state()
         if before == STALE:
@@ -227,19 +236,21 @@ class _Recorder:
         saved = checkpoints.load(run.state_folder)
         run.folder.mkdir(parents=True, exist_ok=True)
         if saved is None:
-            header = ",".join(field.name for field in fields(Episode)) + "\n"
-            logs = {"episodes.csv": header, "timing.csv": "episode,seconds\n"}
+            written = {name: ",".join(header) + "\n" for name, header in LOGS.items()}
         else:
             self.trainer.set_state(saved["trainer"])
             self.episodes, self.seconds = saved["episodes"], saved["seconds"]
             self.resumes = saved["resumes"] + 1
             self.scores = saved["scores"]
-            logs = saved["logs"]
+            written = saved["written"]
         self.files = {}
         for name in LOGS:  # what was logged after the checkpoint will be logged again
             path = run.folder / name
-            path.write_text(logs[name], encoding="utf-8")
+            path.write_text(written[name], encoding="utf-8")
             self.files[name] = path.open("a", encoding="utf-8")
+        self.snapshots: dict[str, bytes] = saved["snapshots"] if saved else {}
+        for name, data in self.snapshots.items():
+            self._write_snapshot(name, data)
         params.dump(run.params, run.folder / "params.yaml")
         self.clock = time.monotonic()
         self.saved_at = self.shown_at = self.seconds
@@ -253,11 +264,34 @@ class _Recorder:
 
     def log(self, episode: Episode) -> None:
         self.episodes = episode.episode
-        row = [_text(getattr(episode, field.name)) for field in fields(Episode)]
-        self._append("episodes.csv", ",".join(row))
+        self._append("episodes.csv", _row(episode))
         self._append("timing.csv", f"{episode.episode},{self.now():.1f}")
+        if episode.episode % VALUES_PERIOD == 0:
+            self._check_values()
+        if episode.episode in self.run.params.snapshot_games:
+            self._take_snapshot()
         self.scores = [*self.scores[-99:], episode.score]
         self.write_status(RUNNING)
+
+    def _check_values(self) -> None:
+        network, parameters = self.trainer.learner.online, self.run.params
+        check = evaluation.check_values(
+            network, parameters, self.held_out, self.episodes, self.run.seed
+        )
+        self._append("values.csv", _row(check))
+
+    @cached_property
+    def held_out(self) -> np.ndarray:
+        return evaluation.held_out_states(self.run.params)
+
+    def _take_snapshot(self) -> None:
+        name = f"games-{self.episodes:05d}.safetensors"
+        self.snapshots[name] = evaluation.model_bytes(self.trainer.learner.online)
+        self._write_snapshot(name, self.snapshots[name])
+
+    def _write_snapshot(self, name: str, data: bytes) -> None:
+        (self.run.folder / "snapshots").mkdir(exist_ok=True)
+        (self.run.folder / "snapshots" / name).write_bytes(data)
 
     def _append(self, name: str, row: str) -> None:
         self.files[name].write(row + "\n")
@@ -285,7 +319,8 @@ class _Recorder:
             "seconds": self.seconds,
             "resumes": self.resumes,
             "scores": self.scores,
-            "logs": {name: (self.run.folder / name).read_text("utf-8") for name in LOGS},
+            "written": {name: (self.run.folder / name).read_text("utf-8") for name in LOGS},
+            "snapshots": self.snapshots,
         }
         checkpoints.save(self.run.state_folder, self.trainer.agent_steps, state)
         self.saved_at = self.now()
@@ -294,7 +329,7 @@ class _Recorder:
         """Publishes the model, plays the final evaluation and marks the run complete."""
         folder, parameters = self.run.folder, self.run.params
         path = folder / "model.safetensors"
-        evaluation.save_model(self.trainer.learner.online, path)
+        path.write_bytes(evaluation.model_bytes(self.trainer.learner.online))
         network = evaluation.load_model(path, parameters)
         played = []
         games = evaluation.play(network, parameters, parameters.evaluation_games, self.run.seed)
@@ -364,7 +399,7 @@ def evaluate(
     `overrides` replace parameters of the run (difficulty, sticky_actions, evaluation_epsilon).
     With `video`, game 0 is filmed too. Raises RunError or ParameterError on bad input.
     """
-    torch.set_num_threads(1)
+    prepare_process()
     if not (folder / "model.safetensors").exists():
         raise RunError(f"{folder}: no model.safetensors here; is this a finished run's folder?")
     values = params.read_values(folder / "params.yaml")
@@ -415,6 +450,10 @@ def read_table(runs: list[Run], name: str) -> pd.DataFrame:
 def title(agent: str) -> str:
     """An agent's name as the report writes it."""
     return AGENTS[agent].title
+
+
+def _row(record: Episode | ValueCheck) -> str:
+    return ",".join(_text(getattr(record, field.name)) for field in fields(record))
 
 
 def _text(value: float) -> str:

@@ -10,6 +10,8 @@ Nothing here may depend on how many games a run is to have: raising that number 
 run as if it had been meant from the start.
 """
 
+import ctypes
+import sys
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
@@ -23,6 +25,23 @@ from atari_dqn.envs import FinishedGame, LockstepGames
 from atari_dqn.exploration import epsilon, epsilon_greedy
 from atari_dqn.params import Parameters
 from atari_dqn.replay import ReplayMemory
+
+M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3  # names of glibc's <malloc.h>
+
+
+def prepare_process() -> None:
+    """Sets this process up for one run: one thread, and memory that is kept instead of returned.
+
+    The thread count is part of what makes a run reproducible.
+    """
+    torch.set_num_threads(1)
+    torch.set_flush_denormal(True)  # Adam's dying moments would slow the CPU down
+    if sys.platform == "linux":
+        # Else glibc returns every block of some megabytes to the system, which hands it out again
+        # page by page: a batch's floats, the gradients, at every update.
+        libc = ctypes.CDLL(None)
+        for option, value in ((M_MMAP_THRESHOLD, 32 << 20), (M_TRIM_THRESHOLD, 512 << 20)):
+            libc.mallopt(option, value)
 
 
 @dataclass(frozen=True)
@@ -47,7 +66,6 @@ class Trainer:
     """
 
     def __init__(self, params: Parameters, agent: str, seed: int):
-        torch.set_flush_denormal(True)  # Adam's dying moments would slow the CPU down
         seeds = np.random.SeedSequence(seed).spawn(4)
         self.params = params
         self.games = LockstepGames(params, seeds[0])

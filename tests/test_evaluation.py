@@ -1,0 +1,75 @@
+import numpy as np
+import pytest
+import torch
+
+from atari_dqn import evaluation
+from atari_dqn.agents import AGENTS
+from atari_dqn.evaluation import check_values, discounted, held_out_states, play
+
+
+def test_discounted_returns_are_sums_to_the_games_end():
+    rewards = [1.0, 0.0, -1.0, 2.0]
+    expected = [
+        sum(0.9 ** (later - now) * rewards[later] for later in range(now, 4)) for now in range(4)
+    ]
+    np.testing.assert_allclose(discounted(rewards, 0.9), expected)
+
+
+class Constant(torch.nn.Module):
+    """A network that values every action alike but for one."""
+
+    def __init__(self, actions, best, value):
+        super().__init__()
+        self.q = torch.nn.Parameter(torch.zeros(actions))
+        with torch.no_grad():
+            self.q[best] = value
+
+    def forward(self, observations):
+        return self.q.expand(len(observations), -1)
+
+
+def test_realised_values_are_the_discounted_clipped_returns_of_the_games_played(small):
+    parameters = small(game="boxing", max_game_frames=1200, evaluation_epsilon=0.0, gamma=0.5)
+    network = Constant(18, best=1, value=7.0)
+    held_out = np.zeros((5, 84, 84, 4), np.uint8)
+    check = check_values(network, parameters, held_out, episode=100, seed=1)
+    assert (check.episode, check.held_out_q, check.predicted) == (100, 7.0, 7.0)
+    returns = []
+    for number in range(evaluation.VALUE_GAMES):
+        table = evaluation._Table(parameters)
+        table.start(evaluation.VALUE_GAMES * 100 + number, seed=1)
+        rewards, ended = [], False
+        while not ended:
+            _, raw, terminated, truncated, _ = table.emulator.step(1)
+            rewards.append(max(-1, min(1, raw)))
+            ended = terminated or truncated
+        assert any(rewards), "the test would not see a reward"
+        returns += [
+            sum(reward * 0.5**later for later, reward in enumerate(rewards[now:]))
+            for now in range(len(rewards))
+        ]
+    assert check.realised == pytest.approx(np.mean(returns), abs=1e-9)
+
+
+def test_held_out_states_are_the_same_for_all_runs_and_not_alike(small):
+    states = held_out_states(small(max_game_frames=2000))
+    again = held_out_states(small(max_game_frames=2000, seeds=[9], gamma=0.5))
+    np.testing.assert_array_equal(states, again)
+    assert len({state.tobytes() for state in states}) > 500
+
+
+@pytest.mark.parametrize(("game", "actions"), [("boxing", 18), ("breakout", 4)])
+def test_a_greedy_agent_that_does_nothing_finishes_its_games(small, game, actions):
+    """Breakout serves the ball for it."""
+    parameters = small(game=game, max_game_frames=108_000, evaluation_epsilon=0.0)
+    games = list(play(Constant(actions, 0, 1.0), parameters, 2, seed=0))
+    assert len(games) == 2
+    assert all(game.frames < 10_000 for game in games)
+    assert all(not game.won for game in games)
+
+
+def test_an_untrained_network_plays_like_random_play_in_breakout(small):
+    parameters = small(game="breakout", max_game_frames=108_000, evaluation_epsilon=1.0)
+    network = AGENTS["dqn"].network(4, 4)
+    scores = [game.score for game in play(network, parameters, 40, seed=0)]
+    assert np.mean(scores) == pytest.approx(1.2, abs=0.8)
