@@ -18,7 +18,7 @@ PARAMS_FILE = params/$(if $(filter-out full,$(PROFILE)),$(PROFILE)/)$(EXPERIMENT
 help: ## list what can be made
 	@sed -n 's/^\([a-z]*\):[^#]*## \(.*\)/  make \1|\2/p' $(MAKEFILE_LIST) | awk -F'|' '{printf "%-19s %s\n", $$1, $$2}'
 	@echo
-	@echo "  PROFILE=quick       small runs of everything, trained from scratch (report, train)"
+	@echo "  PROFILE=quick       small runs of everything, trained from scratch"
 	@echo "  RESULTS=folder      where results are kept instead of results/"
 	@echo "  TORCH_INDEX=address the package index to install torch from, such as one of CPU builds"
 
@@ -38,16 +38,16 @@ report: $(READY) ## build results/report/index.html and report.pdf from the stor
 lab: $(READY) ## explore in JupyterLab
 	$(VENV)/bin/jupyter lab notebooks
 
-train: $(READY) ## train one run: EXPERIMENT=boxing_final AGENT=double_dqn SEED=1
+train: $(READY) ## train an experiment: EXPERIMENT=boxing_final, and AGENT=dqn SEED=1 for one run
 	$(if $(EXPERIMENT),,$(error say which: make train EXPERIMENT=boxing_final AGENT=dqn SEED=1))
 	$(RUN) atari_dqn train $(PARAMS_FILE) $(if $(AGENT),--agent $(AGENT)) \
 	  $(if $(SEED),--seed $(SEED)) $(RESULTS_OPTION)
 
 experiments: $(READY) ## train every run that is missing or interrupted (hours to days)
-	$(RUN) atari_dqn experiments run $(RESULTS_OPTION)
+	$(RUN) atari_dqn experiments run --profile $(PROFILE) $(RESULTS_OPTION)
 
 status: $(READY) ## show every run of every experiment
-	$(RUN) atari_dqn experiments status $(RESULTS_OPTION)
+	$(RUN) atari_dqn experiments status --profile $(PROFILE) $(RESULTS_OPTION)
 
 test: $(READY) ## run the tests
 	$(RUN) pytest -n 2
@@ -68,4 +68,4 @@ lock: $(READY) ## renew environment.lock from pyproject.toml
 clean: ## remove everything that can be made again; stored runs and checkpoints stay
 	rm -rf $(VENV) results/notebooks results/report results/quick results/smoke
 	rm -rf .pytest_cache .ruff_cache .hypothesis
-	find src tests benchmarks -name __pycache__ -prune -exec rm -rf {} +
+	find src tests -name __pycache__ -prune -exec rm -rf {} +

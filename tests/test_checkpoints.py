@@ -1,5 +1,6 @@
 import json
-import os
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ STATE = {
 
 
 def test_what_is_saved_comes_back(tmp_path):
-    checkpoints.save(tmp_path, 5, STATE)
+    checkpoints.save(tmp_path, STATE)
     loaded = checkpoints.load(tmp_path)
     assert loaded["big"] == STATE["big"]
     assert loaded["nothing"] == STATE["nothing"]
@@ -36,10 +37,10 @@ def test_no_checkpoint_is_none(tmp_path):
 
 def test_the_newest_two_are_kept_and_the_newest_is_loaded(tmp_path):
     for number in (1, 20, 300):
-        checkpoints.save(tmp_path, number, {"number": number})
+        checkpoints.save(tmp_path, {"number": number})
     assert [path.name for path in sorted(tmp_path.iterdir())] == [
-        "step-000000000020",
-        "step-000000000300",
+        "checkpoint-000002",
+        "checkpoint-000003",
     ]
     assert checkpoints.load(tmp_path)["number"] == 300
 
@@ -75,11 +76,11 @@ def damage_by_a_torn_manifest(folder):
 )
 def test_a_damaged_checkpoint_is_passed_over_with_a_warning(tmp_path, damage):
     for number in (1, 2):
-        checkpoints.save(tmp_path, number, {**STATE, "number": number})
-    damage(tmp_path / "step-000000000002")
-    with pytest.warns(UserWarning, match="step-000000000002 is damaged"):
+        checkpoints.save(tmp_path, {**STATE, "number": number})
+    damage(tmp_path / "checkpoint-000002")
+    with pytest.warns(UserWarning, match="checkpoint-000002 is damaged"):
         assert checkpoints.load(tmp_path)["number"] == 1
-    damage(tmp_path / "step-000000000001")
+    damage(tmp_path / "checkpoint-000001")
     with (
         pytest.warns(UserWarning, match="damaged"),
         pytest.raises(CheckpointError, match="every checkpoint in"),
@@ -87,31 +88,65 @@ def test_a_damaged_checkpoint_is_passed_over_with_a_warning(tmp_path, damage):
         checkpoints.load(tmp_path)
 
 
+def test_a_damaged_checkpoint_does_not_count_as_one_of_the_two_kept(tmp_path):
+    for number in (1, 2):
+        checkpoints.save(tmp_path, {**STATE, "number": number})
+    damage_by_truncation(tmp_path / "checkpoint-000002")
+    with pytest.warns(UserWarning, match="damaged"):
+        checkpoints.load(tmp_path)
+    checkpoints.save(tmp_path, {**STATE, "number": 3})
+    assert [path.name for path in sorted(tmp_path.glob("checkpoint-*"))] == [
+        "checkpoint-000001",
+        "checkpoint-000002",
+    ]
+
+
 def test_an_unfinished_write_is_never_seen_and_is_cleared_away(tmp_path):
-    checkpoints.save(tmp_path, 1, {"number": 1})
-    (tmp_path / "tmp-99").mkdir()
-    (tmp_path / "tmp-99" / "state.json").write_text("{}")
+    checkpoints.save(tmp_path, {"number": 1})
+    (tmp_path / "tmp-000002").mkdir()
+    (tmp_path / "tmp-000002" / "state.json").write_text("{}")
     assert checkpoints.load(tmp_path)["number"] == 1
-    checkpoints.save(tmp_path, 2, {"number": 2})
-    assert not (tmp_path / "tmp-99").exists()
+    checkpoints.save(tmp_path, {"number": 2})
+    assert checkpoints.load(tmp_path)["number"] == 2
+    assert not list(tmp_path.glob("tmp-*"))
 
 
-def test_a_full_disk_is_a_clear_error_and_the_last_checkpoint_stays(tmp_path, monkeypatch):
-    checkpoints.save(tmp_path, 1, {"number": 1})
+FULL_DISK = """
+import resource, signal, sys
+from pathlib import Path
+import numpy as np
+from atari_dqn import checkpoints
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))
+state = {"array": np.zeros(int(sys.argv[2])), "chunks": [bytes(int(sys.argv[3]))]}
+try:
+    checkpoints.save(Path(sys.argv[1]), state)
+except checkpoints.CheckpointError as error:
+    print(error)
+"""
 
-    def no_space(descriptor):
-        raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(os, "fsync", no_space)
-    with pytest.raises(CheckpointError, match="step-000000000002: No space left on device"):
-        checkpoints.save(tmp_path, 2, {"number": 2})
-    monkeypatch.undo()
+@pytest.mark.parametrize("sizes", [("100000", "1"), ("1", "1000000")], ids=["arrays", "chunks"])
+def test_no_room_is_a_clear_error_and_the_last_checkpoint_stays(tmp_path, sizes):
+    """The limit on a file's size is met in the middle of a write, as a full disk's end is."""
+    checkpoints.save(tmp_path, {"number": 1})
+    result = subprocess.run(
+        [sys.executable, "-c", FULL_DISK, str(tmp_path), *sizes], capture_output=True, text=True
+    )
+    assert result.stdout.startswith("cannot write the checkpoint"), result.stderr
+    assert "File too large" in result.stdout
+    assert [path.name for path in tmp_path.iterdir()] == ["checkpoint-000001"]
     assert checkpoints.load(tmp_path)["number"] == 1
-    assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_no_permission_is_a_clear_error(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(CheckpointError, match="cannot write to"):
+        checkpoints.save(tmp_path / "file" / "state", {"number": 1})
 
 
 def test_nothing_in_a_checkpoint_is_a_pickle(tmp_path):
-    checkpoints.save(tmp_path, 1, STATE)
-    folder = tmp_path / "step-000000000001"
+    checkpoints.save(tmp_path, STATE)
+    folder = tmp_path / "checkpoint-000001"
     assert {path.suffix for path in folder.iterdir()} == {".json", ".safetensors", ".bin"}
     json.loads((folder / "state.json").read_text())

@@ -93,7 +93,7 @@ def test_identity_ignores_episodes_and_defaults_but_not_training():
 def test_overrides_move_an_experiment_to_a_name_of_its_own(tmp_path):
     path = write(tmp_path, "gamma: 0.9")
     changed = params.load(path, {"gamma": 0.8})
-    assert changed.experiment == f"mine+{changed.identity()[:8]}"
+    assert changed.experiment == f"mine+{changed.variant()}"
     # one seed, or a value that is the file's own, is no change
     assert params.load(path, {"seeds": [7], "gamma": 0.9}).experiment == "mine"
     # more games continue the very same run
@@ -114,7 +114,19 @@ def test_what_is_dumped_reads_back_the_same(tmp_path, small):
     assert params.load(path) == small(gamma=0.5)
 
 
-@pytest.mark.parametrize("text", ["gamma", "=3", "gamma=["])
-def test_a_bad_override_says_what_is_expected(text):
+@pytest.mark.parametrize("texts", [["gamma"], ["=3"], ["gamma=["], ["gamma=0", "gamma=1"]])
+def test_a_bad_override_says_what_is_expected(texts):
     with pytest.raises(ParameterError, match="--set"):
-        params.parse_override(text)
+        params.parse_overrides(texts)
+
+
+def test_overrides_outside_training_have_a_name_of_their_own_too(tmp_path):
+    path = write(tmp_path, "gamma: 0.9")
+    names = {params.load(path, {"evaluation_games": n}).experiment for n in (1, 5, 100)}
+    assert len(names) == 3
+
+
+@pytest.mark.parametrize(("agent", "seed"), [("ddqn", 1), ("dqn", -1), ("dqn", 1.5), ("dqn", "a")])
+def test_only_a_known_agent_and_a_whole_seed_can_be_picked(agent, seed):
+    with pytest.raises(ParameterError, match="is not allowed"):
+        params.pick(Parameters(experiment="any"), agent, seed)

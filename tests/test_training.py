@@ -49,7 +49,7 @@ def test_a_resumed_run_is_bit_for_bit_the_one_that_was_never_stopped(small, tmp_
     expected = episodes_after(whole, 150)
     stopped, resumed = Trainer(parameters, agent, 1), Trainer(parameters, agent, 1)
     games = episodes_after(stopped, stop)
-    checkpoints.save(tmp_path / "saved", 1, stopped.get_state())
+    checkpoints.save(tmp_path / "saved", stopped.get_state())
     resumed.set_state(checkpoints.load(tmp_path / "saved"))
     games += episodes_after(resumed, 150 - stop)
     assert games == expected

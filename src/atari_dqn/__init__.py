@@ -3,5 +3,5 @@
 Modules import only downwards, in this order:
 
 params -> envs, networks, replay -> agents, exploration -> training -> checkpoints
--> evaluation -> runs -> experiments -> statistics, plots, report -> __main__
+-> evaluation -> runs -> recording -> experiments -> statistics, plots, sections, report -> __main__
 """

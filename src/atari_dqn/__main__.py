@@ -2,12 +2,14 @@
 
 import sys
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from atari_dqn import experiments, params, report, runs
+from atari_dqn import experiments, params, recording, report, runs
 from atari_dqn.checkpoints import CheckpointError
 from atari_dqn.params import ParameterError
 from atari_dqn.runs import RunError
@@ -32,11 +34,14 @@ Profile = Annotated[str, typer.Option(help=f"One of {', '.join(params.PROFILES)}
 Names = Annotated[list[str] | None, typer.Argument(help="Experiments; all if none is named.")]
 
 
-def _profile(name: str) -> str:
-    if name not in params.PROFILES:
-        allowed = ", ".join(params.PROFILES)
-        raise ParameterError(f"--profile {name!r} is not allowed: must be one of {allowed}")
-    return name
+@contextmanager
+def _interruptible() -> Iterator[None]:
+    """Says that Ctrl-C did no harm."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        print("interrupted; the same command continues", file=sys.stderr)
+        raise typer.Exit(130) from None
 
 
 @app.command()
@@ -56,10 +61,11 @@ def train(
 
     With --set the runs go to a folder of their own, never into the experiment's.
     """
-    overrides = dict(params.parse_override(text) for text in set_ or [])
+    overrides = params.parse_overrides(set_ or [])
     chosen = params.pick(params.load(params_file, overrides), agent, seed)
-    for run in runs.runs_of(chosen, runs.results_folder(chosen.profile, results)):
-        print(runs.train(run))
+    with _interruptible():
+        for run in runs.runs_of(chosen, runs.results_folder(chosen.profile, results)):
+            print(recording.train(run))
 
 
 @app.command()
@@ -94,7 +100,7 @@ def evaluate(
 @experiments_app.command()
 def status(names: Names = None, results: Results = None, profile: Profile = "full") -> None:
     """Show every run: complete, running, interrupted, failed, missing or stale."""
-    table = experiments.status(experiments.planned(_profile(profile), names or [], results))
+    table = experiments.status(experiments.planned(profile, names or [], results))
     print(table.to_string(index=False, na_rep="-"))
 
 
@@ -106,10 +112,16 @@ def run(
     workers: Annotated[
         int | None, typer.Option(min=1, help="Runs at once; by default one a core.")
     ] = None,
+    scheduler: Annotated[
+        str | None, typer.Option(help="Address of a Dask scheduler: not available yet.")
+    ] = None,
 ) -> None:
     """Train what is missing or interrupted, several runs at once."""
-    wanted = experiments.planned(_profile(profile), names or [], results)
-    failures = experiments.train_all(wanted, workers)
+    if scheduler is not None:
+        raise ParameterError(f"--scheduler {scheduler!r}: running on a cluster is not available yet")
+    wanted = experiments.planned(profile, names or [], results)
+    with _interruptible():
+        failures = experiments.train_all(wanted, workers)
     if failures:
         raise RunError("\n".join(failures))
 
@@ -117,7 +129,8 @@ def run(
 @app.command(name="report")
 def report_(profile: Profile = "full", results: Results = None) -> None:
     """Render the report from the stored runs; quick and smoke train their small runs first."""
-    print(f"report: {report.build(_profile(profile), results)}/index.html and report.pdf")
+    with _interruptible():
+        print(f"report: {report.build(profile, results)}/index.html and report.pdf")
 
 
 def main() -> None:
@@ -131,9 +144,11 @@ def main() -> None:
     except (RunError, CheckpointError) as error:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(1)
-    except KeyboardInterrupt:
-        print("interrupted; the same command continues", file=sys.stderr)
-        sys.exit(130)
+    except OSError as error:
+        if error.filename is None:
+            raise
+        print(f"error: {error.filename}: {error.strerror}", file=sys.stderr)
+        sys.exit(2)
 
 
 if __name__ == "__main__":

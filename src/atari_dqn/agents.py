@@ -55,9 +55,10 @@ class Learner:
     def __init__(self, agent: Agent, actions: int, params: Parameters, seed: int):
         self.agent, self.params = agent, params
         self.device = torch_device(params.device)
-        torch.manual_seed(seed)  # nothing but the initial weights is drawn from torch
-        self.online = agent.network(params.frame_stack, actions).to(self.device)
-        self.target = agent.network(params.frame_stack, actions).to(self.device)
+        with torch.random.fork_rng():  # nothing but the initial weights is drawn from torch
+            torch.manual_seed(seed)
+            self.online = agent.network(params.frame_stack, actions).to(self.device)
+            self.target = agent.network(params.frame_stack, actions).to(self.device)
         self.target.load_state_dict(self.online.state_dict())
         self.target.requires_grad_(False)
         self.optimiser = torch.optim.Adam(
@@ -146,7 +147,7 @@ class Learner:
             # the moments in the weights' own memory layout, on which the fused step relies
             first, second = (torch.empty_like(parameter).copy_(moment) for moment in moments)
             self.optimiser.state[parameter] = {
-                "step": step.clone(),
+                "step": step.to(parameter.device, copy=True),
                 "exp_avg": first,
                 "exp_avg_sq": second,
             }

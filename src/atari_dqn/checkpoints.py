@@ -30,41 +30,56 @@ class CheckpointError(RuntimeError):
     """No checkpoint can be written or read; the message says which file and why."""
 
 
-def save(folder: Path, number: int, state: dict[str, Any]) -> None:
-    """Writes checkpoint `number` (agent steps, so that the newest sorts last) into `folder`.
+def save(folder: Path, state: dict[str, Any]) -> None:
+    """Writes a new checkpoint into `folder`, which no other process may be writing to.
 
     Raises CheckpointError if it cannot be written; earlier checkpoints are then untouched.
     """
-    final = folder / f"step-{number:012d}"
-    temporary = folder / f"tmp-{os.getpid()}"
     try:
+        for left in folder.glob("tmp-*"):  # by a process that was killed
+            shutil.rmtree(left)
+        found = _found(folder)
+        number = int(found[-1].name.removeprefix("checkpoint-")) + 1 if found else 1
+        final = folder / f"checkpoint-{number:06d}"
+        temporary = folder / f"tmp-{number:06d}"
         temporary.mkdir(parents=True)
+    except OSError as error:
+        raise CheckpointError(f"cannot write to {folder}: {error.strerror}") from error
+    try:
         _write(temporary, state)
-        if final.exists():  # the same step was saved before: the same state
-            shutil.rmtree(final)
         temporary.rename(final)
         _sync(folder)
-    except OSError as error:
+        for old in _found(folder)[:-KEPT]:
+            shutil.rmtree(old)
+    except (OSError, SafetensorError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise CheckpointError(f"cannot write the checkpoint {final}: {reason}") from error
+    finally:
         shutil.rmtree(temporary, ignore_errors=True)
-        raise CheckpointError(f"cannot write a checkpoint to {final}: {error.strerror}") from error
-    for old in [*sorted(folder.glob("step-*"))[:-KEPT], *folder.glob("tmp-*")]:
-        shutil.rmtree(old)
 
 
 def load(folder: Path) -> dict[str, Any] | None:
     """The state in the newest undamaged checkpoint of `folder`, or None if there never was one.
 
-    A damaged checkpoint is passed over with a warning. Raises CheckpointError if all are damaged.
+    A damaged checkpoint is set aside as damaged-* with a warning. Raises CheckpointError if all
+    are damaged.
     """
-    found = sorted(folder.glob("step-*"), reverse=True)
-    for checkpoint in found:
+    for checkpoint in reversed(_found(folder)):
         try:
             return _read(checkpoint)
         except (OSError, ValueError, KeyError, SafetensorError) as error:
             warnings.warn(f"{checkpoint} is damaged ({error}); passed over", stacklevel=2)
-    if found:
+            aside = folder / checkpoint.name.replace("checkpoint", "damaged")
+            shutil.rmtree(aside, ignore_errors=True)
+            checkpoint.rename(aside)
+    if any(folder.glob("damaged-*")):
         raise CheckpointError(f"every checkpoint in {folder} is damaged; delete it to start again")
     return None
+
+
+def _found(folder: Path) -> list[Path]:
+    """The checkpoints in a folder, the newest last."""
+    return sorted(folder.glob("checkpoint-*"))
 
 
 def _write(folder: Path, state: dict[str, Any]) -> None:

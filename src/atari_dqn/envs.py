@@ -61,7 +61,7 @@ class AtariGame(gymnasium.Env):
     image once). Action: index into the cartridge's minimal action set. Reward: raw game points.
     `terminated`: the game is over. `truncated`: it was cut after `max_game_frames`.
 
-    A game starts with 0 to `noop_max` idle frames, as Gymnasium's wrapper draws them. Where the
+    A game starts with 1 to `noop_max` idle frames, as Gymnasium's wrapper draws them. Where the
     ball must be served, FIRE is pressed for the agent at the start and within the step that loses
     a life, so that a greedy agent cannot stall for ever.
 
@@ -177,6 +177,8 @@ class AtariGame(gymnasium.Env):
         return reward
 
     def _serve(self) -> float:
+        """Presses FIRE for a step. A sticky console repeats it, so that no serve is ever missed."""
+        self.last_action = FIRE
         return sum(self._act(FIRE) for _ in range(self.frame_skip))
 
     @staticmethod

@@ -20,6 +20,8 @@ from atari_dqn.exploration import epsilon_greedy
 from atari_dqn.params import Parameters
 
 EMULATORS = 8  # games played at once
+EVALUATION = 99  # sets the random streams of evaluation apart from those of training
+BATCH = 8  # observations a forward pass; fixed, since the last bits of Q depend on it
 
 
 @dataclass(frozen=True)
@@ -78,7 +80,8 @@ class _Table:
 
     def start(self, game: int, seed: int) -> None:
         """Begins game number `game`: all that is random in it follows from the two numbers."""
-        emulator_seed, action_seed = np.random.SeedSequence([seed, game]).generate_state(2)
+        sequence = np.random.SeedSequence(seed, spawn_key=(EVALUATION, game))
+        emulator_seed, action_seed = sequence.generate_state(2)
         self.planes[:] = self.emulator.reset(seed=int(emulator_seed))[0].reshape(-1)
         self.rng = np.random.default_rng(action_seed)
         self.game, self.rewards = game, []
@@ -138,7 +141,10 @@ def play(network: nn.Module, params: Parameters, games: int, seed: int) -> Itera
 def q_of(network: nn.Module, planes: np.ndarray) -> np.ndarray:
     """Q-values float32 [N, A] of images uint8 [stack, N, 84*84]."""
     device = next(network.parameters()).device
-    return network(torch.from_numpy(interleave(planes)).to(device)).cpu().numpy()
+    stack, count, pixels = planes.shape
+    padded = np.zeros((stack, -(-count // BATCH) * BATCH, pixels), np.uint8)
+    padded[:, :count] = planes
+    return network(torch.from_numpy(interleave(padded)).to(device))[:count].cpu().numpy()
 
 
 @dataclass(frozen=True)

@@ -6,13 +6,15 @@ import signal
 import sys
 import traceback
 from collections import deque
-from multiprocessing.connection import wait
+from multiprocessing.connection import Connection, wait
+from multiprocessing.context import SpawnContext
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 from tqdm import tqdm
 
-from atari_dqn import params, runs
+from atari_dqn import params, recording, runs
 from atari_dqn.params import ParameterError
 from atari_dqn.runs import Run, RunError
 
@@ -21,7 +23,13 @@ ORDER = ("boxing_final", "breakout_final")
 
 
 def files(profile: str) -> list[Path]:
-    """The parameter files of a profile, in the order in which their runs are trained."""
+    """The parameter files of a profile, in the order in which their runs are trained.
+
+    Raises ParameterError on an unknown profile.
+    """
+    if profile not in params.PROFILES:
+        allowed = ", ".join(params.PROFILES)
+        raise ParameterError(f"profile: {profile!r} is not allowed: must be one of {allowed}")
     folder = runs.project_root() / "params"
     found = (folder if profile == "full" else folder / profile).glob("*.yaml")
     rank = {name: place for place, name in enumerate(ORDER)}
@@ -67,12 +75,10 @@ def train_all(wanted: list[Run], workers: int | None = None) -> list[str]:
     SIGTERM leave every run resumable and raise KeyboardInterrupt.
     """
     pending = deque(run for run in wanted if run.state() != runs.COMPLETE)
-    workers = workers or os.cpu_count() or 1
     context = multiprocessing.get_context("spawn")
     bar_lock = context.RLock()
-    active: dict[int, tuple[multiprocessing.process.BaseProcess, int, Run]] = {}
-    places = list(range(workers))  # lines for progress bars
-    outcomes = context.SimpleQueue()
+    active: dict[int, _Worker] = {}
+    places = list(range(workers or os.cpu_count() or 1))  # lines for progress bars
     failures: list[str] = []
 
     def stop(*_: object) -> None:
@@ -82,41 +88,60 @@ def train_all(wanted: list[Run], workers: int | None = None) -> list[str]:
     try:
         while pending or active:
             while pending and places:
-                run, place = pending.popleft(), places.pop(0)
-                process = context.Process(target=_worker, args=(run, place, bar_lock, outcomes))
-                process.start()
-                active[process.sentinel] = (process, place, run)
+                worker = _Worker(context, pending.popleft(), places.pop(0), bar_lock)
+                active[worker.process.sentinel] = worker
             for sentinel in wait(list(active)):
-                process, place, run = active.pop(sentinel)
-                process.join()
-                places.append(place)
-                failure = None
-                while not outcomes.empty():
-                    failures.append(failure := outcomes.get())
-                if process.exitcode and failure is None:
-                    failures.append(f"{run.name}: killed (exit code {process.exitcode})")
+                worker = active.pop(sentinel)
+                places.append(worker.place)
+                failures += worker.failure()
     except KeyboardInterrupt:
-        for process, _, _ in active.values():
-            process.terminate()  # each saves a checkpoint before it ends
-        for process, _, _ in active.values():
-            process.join()
+        for worker in active.values():
+            worker.process.terminate()  # each saves a checkpoint before it ends
+        for worker in active.values():
+            worker.process.join()
         raise
     finally:
         signal.signal(signal.SIGTERM, before)
     return failures
 
 
-def _worker(run: Run, place: int, bar_lock, outcomes) -> None:
-    """One run in a process of its own."""
+class _Worker:
+    """A process that trains one run."""
+
+    def __init__(self, context: SpawnContext, run: Run, place: int, bar_lock: Any):
+        self.run, self.place = run, place
+        self.receiver, sender = context.Pipe(duplex=False)
+        self.process = context.Process(target=_train, args=(run, place, bar_lock, sender))
+        # Ctrl-C reaches the whole process group: the parent alone acts on it, and tells its workers.
+        before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+        self.process.start()
+        signal.signal(signal.SIGINT, before)
+        sender.close()
+
+    def failure(self) -> list[str]:
+        """A line on what went wrong with the ended process; none if nothing did."""
+        self.process.join()
+        if self.process.exitcode == 0:
+            return []
+        if self.receiver.poll():
+            try:
+                return [self.receiver.recv()]
+            except EOFError:
+                pass
+        return [f"{self.run.name}: killed (exit code {self.process.exitcode})"]
+
+
+def _train(run: Run, place: int, bar_lock: Any, sender: Connection) -> None:
+    """What a worker process does."""
     tqdm.set_lock(bar_lock)
     try:
-        runs.train(run, place)
+        recording.train(run, place)
     except KeyboardInterrupt:
         sys.exit(130)
     except RunError as error:
-        outcomes.put(str(error))
+        sender.send(str(error))
         sys.exit(1)
     except Exception as error:
-        outcomes.put(f"{run.name}: {type(error).__name__}: {error}")
+        sender.send(f"{run.name}: {type(error).__name__}: {error}")
         traceback.print_exc()
         sys.exit(1)

@@ -53,7 +53,9 @@ class Parameters(BaseModel):
     """One experiment: the game, the agents and seeds to train, and every setting of the training.
 
     Each field's description begins with its unit. Fields below `Training` decide what is learned
-    and make up the identity of a run (`identity`); those above and below them do not.
+    and make up the identity of a run (`identity`); those above and below them do not. A default,
+    once published, never changes, since identities are relative to it: what experiments should
+    use goes into their files.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
@@ -126,6 +128,10 @@ class Parameters(BaseModel):
             raise _key_error("epsilon_floor", self.epsilon_floor, "above epsilon_start")
         return self
 
+    def variant(self) -> str:
+        """Eight hexadecimal digits that name these settings among an experiment's variants."""
+        return _digest(self.model_dump(exclude=NOT_VARIANT, exclude_defaults=True))[:8]
+
     def identity(self) -> str:
         """SHA-256 (hex) of what decides what is learned.
 
@@ -133,14 +139,15 @@ class Parameters(BaseModel):
         default leaves every earlier run valid; `episodes` does not, so that raising it continues
         a run.
         """
-        training = self.model_dump(exclude=NOT_TRAINING, exclude_defaults=True)
-        return hashlib.sha256(json.dumps(training, sort_keys=True).encode()).hexdigest()
+        return _digest(self.model_dump(exclude=NOT_TRAINING, exclude_defaults=True))
 
 
-NOT_TRAINING = {
-    *("experiment", "profile", "agents", "seeds", "episodes", "snapshot_games"),
-    *("device", "evaluation_games", "evaluation_epsilon"),
-}
+NOT_VARIANT = {"experiment", "profile", "agents", "seeds", "episodes", "device"}
+NOT_TRAINING = NOT_VARIANT | {"snapshot_games", "evaluation_games", "evaluation_epsilon"}
+
+
+def _digest(values: dict[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
 
 
 def _key_error(key: str, value: Any, why: str) -> ValueError:
@@ -213,8 +220,7 @@ def load(path: Path | str, overrides: dict[str, Any] | None = None) -> Parameter
     picks = {"agents", "seeds", "device"}
     if changed.model_dump(exclude=picks) == base.model_dump(exclude=picks):
         return changed
-    name = f"{base.experiment}+{changed.identity()[:8]}"
-    return changed.model_copy(update={"experiment": name})
+    return changed.model_copy(update={"experiment": f"{base.experiment}+{changed.variant()}"})
 
 
 def resolve(values: dict[str, Any], folder: Path) -> Parameters:
@@ -231,29 +237,30 @@ def resolve(values: dict[str, Any], folder: Path) -> Parameters:
 
 def pick(params: Parameters, agent: str | None, seed: int | None) -> Parameters:
     """The same experiment with one agent and one seed only, where they are given."""
-    chosen: dict[str, Any] = {}
-    if agent is not None:
-        if agent not in AGENT_NAMES:
-            raise ParameterError(
-                f"agent: {agent!r} is not allowed: must be one of {', '.join(AGENT_NAMES)}"
-            )
-        chosen["agents"] = [agent]
-    if seed is not None:
-        if seed < 0:
-            raise ParameterError(f"seed: {seed} is not allowed: must be 0 or more")
-        chosen["seeds"] = [seed]
-    return params.model_copy(update=chosen)
+    if agent is not None and agent not in AGENT_NAMES:
+        allowed = ", ".join(AGENT_NAMES)
+        raise ParameterError(f"agent: {agent!r} is not allowed: must be one of {allowed}")
+    if seed is not None and (type(seed) is not int or seed < 0):
+        raise ParameterError(f"seed: {seed!r} is not allowed: must be a whole number from 0")
+    agents = params.agents if agent is None else [agent]
+    seeds = params.seeds if seed is None else [seed]
+    return params.model_copy(update={"agents": agents, "seeds": seeds})
 
 
-def parse_override(text: str) -> tuple[str, Any]:
-    """'KEY=VALUE', as the command line takes it; the value is read as YAML."""
-    key, equals, value = text.partition("=")
-    if not equals or not key:
-        raise ParameterError(f"--set {text!r}: expected KEY=VALUE")
-    try:
-        return key, YAML(typ="safe", pure=True).load(value)
-    except YAMLError as error:
-        raise ParameterError(f"--set {text!r}: {_yaml_message(error)}") from None
+def parse_overrides(texts: list[str]) -> dict[str, Any]:
+    """['KEY=VALUE', ...], as the command line takes them; values are read as YAML."""
+    overrides: dict[str, Any] = {}
+    for text in texts:
+        key, equals, value = text.partition("=")
+        if not equals or not key:
+            raise ParameterError(f"--set {text!r}: expected KEY=VALUE")
+        if key in overrides:
+            raise ParameterError(f"--set {text!r}: {key} is set twice")
+        try:
+            overrides[key] = YAML(typ="safe", pure=True).load(value)
+        except YAMLError as error:
+            raise ParameterError(f"--set {text!r}: {_yaml_message(error)}") from None
+    return overrides
 
 
 def dump(params: Parameters, path: Path) -> None:

@@ -52,6 +52,8 @@ def learning_curves(episodes: pd.DataFrame, facts: GameFacts, window: int) -> Fi
     if episodes.seed.nunique() > 1:
         thin = {"units": "seed", "estimator": None, "lw": 0.6, "alpha": 0.5, "legend": False}
         sns.lineplot(curves, **thin, **shared)
+    reached = curves.groupby(["agent", "seed"]).episode.max().groupby("agent").min()
+    curves = curves[curves.episode <= curves.agent.map(reached)]  # by every seed of the agent
     sns.lineplot(curves, errorbar=None, lw=1.6, **shared)
     for score, name in ((facts.human, "human"), (facts.random, "random play")):
         axes.axhline(score, color="0.45", lw=0.8, ls=":")

@@ -62,7 +62,7 @@ class FrameCodec:
 class ReplayMemory:
     """A ring of `capacity` slots, shared equally by `streams` environments.
 
-    Raises ValueError when asked for more distinct slots than exist, i.e. sampled while empty.
+    Sampling from it before it holds a transition raises ValueError.
     """
 
     def __init__(self, capacity: int, streams: int, stack: int, seed: np.random.SeedSequence):
@@ -125,7 +125,7 @@ class ReplayMemory:
         oldest = self.row if self.full else 0
         first = self.stack if self.full else 0
         last = self.rows if self.full else self.row
-        if not (self.ages[:last] > 0).any():
+        if last < 2:  # the second row is the first to end a transition
             raise ValueError("the replay memory holds no transition yet")
         rows, streams = np.empty(count, np.int64), np.empty(count, np.int64)
         missing = np.arange(count)

@@ -7,7 +7,6 @@ The previous report stays in place until a whole new one has been made.
 import os
 import shutil
 import tempfile
-from datetime import UTC, datetime
 from pathlib import Path
 
 import nbformat
@@ -109,7 +108,7 @@ def _typeset(text: str, stamp: str, made: Path) -> None:
         "--metadata=lang:en-GB",
         "--metadata=link-citations:true",
     ]
-    source = "markdown-implicit_figures+implicit_figures"
+    source = "markdown"
     html = [
         *shared,
         "--embed-resources",
@@ -130,11 +129,10 @@ def _typeset(text: str, stamp: str, made: Path) -> None:
     pypandoc.convert_text(
         text, "typst", source, extra_args=paper, outputfile=str(made / "report.typ")
     )
-    when = datetime.fromtimestamp(int(os.environ.get("SOURCE_DATE_EPOCH", 0)), UTC)
     typst.compile(
         str(made / "report.typ"),
         output=str(made / "report.pdf"),
         root=str(made),
         ignore_system_fonts=True,
-        timestamp=int(when.timestamp()),
+        timestamp=int(os.environ.get("SOURCE_DATE_EPOCH", 0)),
     )

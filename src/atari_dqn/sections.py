@@ -24,16 +24,23 @@ from atari_dqn.statistics import MARKS, interval, scores_at_marks
 def injected() -> dict[str, Any]:
     """The names that the notebook's parameter cells assign, with their values now.
 
-    A parameter cell begins with the line "# Parameters", as the ones that papermill adds do.
+    The notebook's own cell begins with the line "# Parameters: defaults", the one that papermill
+    adds below it with "# Parameters".
     """
     shell = get_ipython()
     assert shell is not None, "sections.injected() is for notebooks"
     names: set[str] = set()
     for source in shell.user_ns["In"]:
-        if source.startswith("# Parameters"):
-            for node in ast.walk(ast.parse(source)):
-                if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
-                    names.add(node.id)
+        first, _, _ = source.partition("\n")
+        if first.startswith("# Parameters: defaults"):
+            names.clear()  # run anew, perhaps edited: what was there before does not count
+        elif first.strip() != "# Parameters":
+            continue
+        names |= {
+            node.id
+            for node in ast.walk(ast.parse(source))
+            if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)
+        }
     return {name: shell.user_ns[name] for name in names}
 
 
@@ -43,12 +50,12 @@ def run_from_notebook(values: dict[str, Any]) -> Run:
     `agent`, `seed` and `results_dir` are the notebook's own; everything else must be a training
     parameter. Raises ParameterError.
     """
-    own = {name: values.pop(name, None) for name in ("agent", "seed", "results_dir")}
+    values = dict(values)
+    agent, seed, results = (values.pop(name, None) for name in ("agent", "seed", "results_dir"))
     resolved = params.resolve(values, runs.project_root() / "params")
-    chosen = params.pick(
-        resolved, own["agent"] or resolved.agents[0], own["seed"] or resolved.seeds[0]
-    )
-    return Run(chosen, runs.results_folder(chosen.profile, own["results_dir"]))
+    agent = resolved.agents[0] if agent is None else agent
+    seed = resolved.seeds[0] if seed is None else seed
+    return Run(params.pick(resolved, agent, seed), runs.results_folder(resolved.profile, results))
 
 
 class Section:
@@ -85,38 +92,57 @@ class Section:
                 raise runs.RunError("; ".join(failures))
         usable = [run for run in self.runs if run.state() not in (runs.MISSING, runs.STALE)]
         self.episodes: pd.DataFrame = runs.read_table(usable, "episodes.csv")
-        self.evaluations: pd.DataFrame = runs.read_table(usable, "evaluations.csv")
+        self.evaluations: pd.DataFrame = self._own(runs.read_table(usable, "evaluations.csv"))
         # How many games a point of a learning curve is the mean of, and the marks of the tables.
         self.window = max(1, min(500, self.params.episodes // 6))
+
+    def _own(self, evaluations: pd.DataFrame) -> pd.DataFrame:
+        """Only the games that were played as the experiment trains and evaluates."""
+        if evaluations.empty:
+            return evaluations
+        p = self.params
+        return evaluations[
+            (evaluations.difficulty == p.difficulty)
+            & (evaluations.sticky_actions == p.sticky_actions)
+            & (evaluations.epsilon == p.evaluation_epsilon)
+        ]
 
     def badge(self) -> None:
         """Says which runs are missing or partial, their share done, and how to finish them."""
         states = [run.state() for run in self.runs]
         complete = states.count(runs.COMPLETE)
-        done = 0 if self.episodes.empty else len(self.episodes)
-        share = done / (len(self.runs) * self.params.episodes)
-        profile = f" (a {self.params.profile} run)" if self.params.profile != "full" else ""
+        share = len(self.episodes) / (len(self.runs) * self.params.episodes)
+        profile = f" ({self.params.profile} runs)" if self.params.profile != "full" else ""
         text = (
-            f"**{complete} of {len(self.runs)} runs complete**{profile}: {done:,} games played, "
-            f"{share:.0%} of those planned."
+            f"**{complete} of {len(self.runs)} runs complete**{profile}: "
+            f"{len(self.episodes):,} games played, {share:.0%} of those planned."
         )
-        unfinished = [
-            f"`python -m atari_dqn train {self.file} --agent {run.agent} --seed {run.seed}`"
-            for run, state in zip(self.runs, states, strict=True)
-            if state != runs.COMPLETE
-        ]
-        if unfinished:
-            text += " Figures show what there is. To finish:\n\n"
-            text += "\n".join(f"- {command}" for command in unfinished)
+        if self.episodes.empty:
+            text += " There is nothing to show yet."
+        option = "" if self.params.profile == "full" else f" PROFILE={self.params.profile}"
+        for run, state in zip(self.runs, states, strict=True):
+            command = f"make train EXPERIMENT={run.params.experiment} AGENT={run.agent} "
+            command += f"SEED={run.seed}{option}"
+            if state == runs.STALE:
+                text += f"\n\n{run.name} is stale ({'; '.join(run.changes())}) and not shown; once "
+                text += f"moved away, `{command}` trains it anew."
+            elif state != runs.COMPLETE:
+                text += f"\n\n{run.name} is {state}; `{command}` finishes it."
         show_text(f"::: {{.badge}}\n{text}\n:::")
+
+    def has_curves(self) -> bool:
+        """Whether a run has enough games for a point of a learning curve."""
+        return len(self.episodes) > 0 and self.episodes.episode.max() >= self.window
 
     def counted(self) -> str:
         """How many seeds and games there are, for captions."""
         if self.episodes.empty:
             return "no run stored yet"
-        seeds = self.episodes.seed.nunique()
-        few = "; indicative only" if seeds <= 3 else ""
-        return f"{seeds} seed{'s' * (seeds > 1)}, {len(self.episodes):,} training games{few}"
+        seeds = self.episodes.groupby("agent").seed.nunique()
+        low, high = seeds.min(), seeds.max()
+        number = f"{low}" if low == high else f"{low} to {high}"
+        few = "; indicative only" if low <= 3 else ""
+        return f"seeds an agent: {number}; {len(self.episodes):,} training games{few}"
 
 
 def start() -> None:
@@ -183,18 +209,20 @@ def show_evaluations(section: Section) -> None:
         return
     rows = []
     for (agent, seed), games in section.evaluations.groupby(["agent", "seed"], sort=False):
-        low, high = interval(games.score.to_numpy())
-        rows.append(
-            {
-                "agent": runs.title(agent),
-                "seed": seed,
-                "games": len(games),
-                "mean score": games.score.mean(),
-                "95% interval": f"{low:.1f} to {high:.1f}",
-                "won": f"{games.won.mean():.0%}",
-                "knock-outs": f"{(games.knockout == 1).mean():.0%}",
-            }
-        )
+        row = {
+            "agent": runs.title(agent),
+            "seed": seed,
+            "games": len(games),
+            "mean score": games.score.mean(),
+            "95% interval": "–",
+        }
+        if len(games) > 1:
+            low, high = interval(games.score.to_numpy())
+            row["95% interval"] = f"{low:.1f} to {high:.1f}"
+        if section.facts.knockout_cells is not None:
+            row["won"] = f"{games.won.mean():.0%}"
+            row["by knock-out"] = f"{(games.knockout == 1).mean():.0%}"
+        rows.append(row)
     show_table(
         pd.DataFrame(rows),
         label=f"tbl-{section.params.game}-evaluation",

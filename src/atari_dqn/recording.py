@@ -1,0 +1,352 @@
+"""Training a run: playing and learning until the last game, and writing all of it down."""
+
+import json
+import os
+import platform
+import signal
+import subprocess
+import sys
+import threading
+import time
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import fields
+from datetime import UTC, datetime
+from functools import cached_property
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from tqdm import tqdm
+
+from atari_dqn import checkpoints, evaluation, params
+from atari_dqn.evaluation import ValueCheck
+from atari_dqn.params import TRAINING_VERSION
+from atari_dqn.runs import (
+    COMPLETE,
+    FAILED,
+    INTERRUPTED,
+    RUNNING,
+    STALE,
+    Run,
+    RunError,
+    store_evaluation,
+    write_atomically,
+)
+from atari_dqn.training import Episode, Trainer, prepare_process
+
+CHECKPOINT_SECONDS = 900.0  # training time between checkpoints
+VALUES_PERIOD = 100  # games between rows of values.csv
+VERSIONED = ("torch", "numpy", "ale-py", "gymnasium", "opencv-python-headless", "zstandard")
+LOGS = {
+    "episodes.csv": [field.name for field in fields(Episode)],
+    "timing.csv": ["episode", "seconds"],
+    "values.csv": [field.name for field in fields(ValueCheck)],
+}
+
+
+def train(run: Run, position: int = 0) -> str:
+    """Trains a run to its end, resuming it if it was interrupted; returns what happened.
+
+    SIGTERM and Ctrl-C save a checkpoint, leave the run `interrupted` and raise KeyboardInterrupt.
+    `position` is the progress bar's line. Raises RunError if the stored run does not match.
+    """
+    prepare_process()
+    with run.lock():
+        before = run.state()
+        if before == STALE:
+            raise RunError(
+                f"{run.folder} holds a run that no longer matches: {'; '.join(run.changes())}; "
+                "move it away to train anew"
+            )
+        if before == COMPLETE:
+            return f"{run.name} is complete: {run.status()['episodes_done']} games"
+        recorder = Recorder(run)
+        if recorder.episodes:
+            tqdm.write(f"{run.name} continues after {recorder.episodes} games")
+        try:
+            with _stop_signals() as stopped:
+                _play_and_learn(recorder, stopped, position)
+                recorder.finish(stopped)
+        except KeyboardInterrupt:
+            recorder.write_status(INTERRUPTED)
+            raise
+        except Exception as error:
+            with suppress(OSError):  # a full disk must not hide the error itself
+                recorder.write_status(FAILED, error=f"{type(error).__name__}: {error}")
+            raise
+        finally:
+            recorder.close()
+        return f"{run.name} is complete: {recorder.episodes} games"
+
+
+def _play_and_learn(recorder: "Recorder", stopped: Callable[[], bool], position: int) -> None:
+    """Trains until the last game; leaves a checkpoint of the end."""
+    run = recorder.run
+    if recorder.episodes >= run.params.episodes:
+        return
+    with tqdm(
+        total=run.params.episodes,
+        initial=recorder.episodes,
+        desc=run.name,
+        unit="game",
+        position=position,
+        mininterval=2,
+        dynamic_ncols=True,
+    ) as bar:
+        for episode in recorder.trainer.run():
+            if episode is not None:
+                recorder.log(episode)
+                bar.update()
+            done = recorder.episodes >= run.params.episodes
+            stop = stopped()
+            recorder.show(bar, done)
+            if done or stop or recorder.checkpoint_due():
+                recorder.save()
+            if stop:
+                raise KeyboardInterrupt
+            if done:
+                return
+
+
+class Recorder:
+    """Writes what a trainer does into the run's folder, and resumes both together."""
+
+    def __init__(self, run: Run):
+        self.run = run
+        self.trainer = Trainer(run.params, run.agent, run.seed)
+        self.episodes, self.seconds = 0, 0.0
+        self.scores: list[float] = []
+        self.snapshots: dict[str, bytes] = {}
+        self.sessions: list[dict[str, Any]] = []
+        saved = checkpoints.load(run.state_folder)
+        if saved is None:
+            self._refuse_to_overwrite()
+            written = {name: ",".join(header) + "\n" for name, header in LOGS.items()}
+        else:
+            self.trainer.set_state(saved["trainer"])
+            self.episodes, self.seconds = saved["episodes"], saved["seconds"]
+            self.scores, self.snapshots = saved["scores"], saved["snapshots"]
+            self.sessions = saved["sessions"]
+            written = saved["written"]
+        self.files = {}
+        for name in LOGS:  # what was logged after the checkpoint will be logged again
+            path = run.folder / name
+            path.write_text(written[name], encoding="utf-8")
+            self.files[name] = path.open("a", encoding="utf-8")
+        for name, data in self.snapshots.items():
+            self._write_snapshot(name, data)
+        params.dump(run.params, run.folder / "params.yaml")
+        self.clock = time.monotonic()
+        self.saved_at = self.shown_at = self.seconds
+        self.shown_steps = self.trainer.agent_steps
+        self.sessions.append(_session(self.episodes + 1))
+        self._compare_sessions()
+        self.write_provenance()
+        self.write_status(RUNNING)
+        if saved is None:
+            self.save()  # so that stored games without a checkpoint are always a loss of state
+
+    def _refuse_to_overwrite(self) -> None:
+        """Raises RunError if games are stored that cannot be continued."""
+        path = self.run.folder / "episodes.csv"
+        games = len(path.read_text("utf-8").splitlines()) - 1 if path.exists() else 0
+        if games > 0:
+            raise RunError(
+                f"{self.run.folder} holds {games} games, but their checkpoint is not in "
+                f"{self.run.state_folder}; move the run's folder away to train anew"
+            )
+
+    def _compare_sessions(self) -> None:
+        """Warns if this machine is not the one that the run began on."""
+        first, now = self.sessions[0], self.sessions[-1]
+        for key in ("processor", "versions", "threads"):
+            if first[key] != now[key]:
+                warnings.warn(
+                    f"{self.run.name} began with {key} {first[key]} and goes on with {now[key]}: "
+                    "it will not be bit for bit the uninterrupted run",
+                    stacklevel=2,
+                )
+
+    def close(self) -> None:
+        for file in self.files.values():
+            file.close()
+
+    def now(self) -> float:
+        """Seconds of training so far, across resumes."""
+        return self.seconds + time.monotonic() - self.clock
+
+    def log(self, episode: Episode) -> None:
+        self.episodes = episode.episode
+        self._append("episodes.csv", _row(episode))
+        self._append("timing.csv", f"{episode.episode},{self.now():.1f}")
+        if episode.episode % VALUES_PERIOD == 0:
+            self._check_values()
+        if episode.episode in self.run.params.snapshot_games:
+            self._take_snapshot()
+        self.scores = [*self.scores[-99:], episode.score]
+        self.write_status(RUNNING)
+
+    def _check_values(self) -> None:
+        network, parameters = self.trainer.learner.online, self.run.params
+        check = evaluation.check_values(
+            network, parameters, self.held_out, self.episodes, self.run.seed
+        )
+        self._append("values.csv", _row(check))
+
+    @cached_property
+    def held_out(self) -> np.ndarray:
+        return evaluation.held_out_states(self.run.params)
+
+    def _take_snapshot(self) -> None:
+        name = f"games-{self.episodes:05d}.safetensors"
+        self.snapshots[name] = evaluation.model_bytes(self.trainer.learner.online)
+        self._write_snapshot(name, self.snapshots[name])
+
+    def _write_snapshot(self, name: str, data: bytes) -> None:
+        (self.run.folder / "snapshots").mkdir(exist_ok=True)
+        write_atomically(self.run.folder / "snapshots" / name, data)
+
+    def _append(self, name: str, row: str) -> None:
+        self.files[name].write(row + "\n")
+        self.files[name].flush()
+
+    def show(self, bar: tqdm, done: bool) -> None:
+        """Every few seconds, and at the end: the mean score of the last games, and the speed."""
+        now = self.now()
+        if now - self.shown_at < 2 and not done:
+            return
+        steps = self.trainer.agent_steps
+        speed = (steps - self.shown_steps) / (now - self.shown_at)
+        self.shown_at, self.shown_steps = now, steps
+        score = f"{np.mean(self.scores):.1f}" if self.scores else "-"
+        bar.set_postfix_str(f"score {score}, {speed:.0f} steps/s, {steps:,} steps")
+
+    def checkpoint_due(self) -> bool:
+        return self.now() - self.saved_at >= CHECKPOINT_SECONDS
+
+    def save(self) -> None:
+        self.seconds, self.clock = self.now(), time.monotonic()
+        state = {
+            "trainer": self.trainer.get_state(),
+            "episodes": self.episodes,
+            "seconds": self.seconds,
+            "sessions": self.sessions,
+            "scores": self.scores,
+            "written": {name: (self.run.folder / name).read_text("utf-8") for name in LOGS},
+            "snapshots": self.snapshots,
+        }
+        checkpoints.save(self.run.state_folder, state)
+        self.saved_at = self.now()
+
+    def finish(self, stopped: Callable[[], bool]) -> None:
+        """Publishes the model, plays the final evaluation and marks the run complete."""
+        folder, parameters = self.run.folder, self.run.params
+        path = folder / "model.safetensors"
+        write_atomically(path, evaluation.model_bytes(self.trainer.learner.online))
+        (folder / "evaluations.csv").unlink(missing_ok=True)  # an earlier model's
+        network = evaluation.load_model(path, parameters)
+        played = []
+        games = evaluation.play(network, parameters, parameters.evaluation_games, self.run.seed)
+        for game in tqdm(
+            games, total=parameters.evaluation_games, desc="evaluating", leave=False, mininterval=2
+        ):
+            played.append(game)
+            if stopped():
+                raise KeyboardInterrupt
+        store_evaluation(folder, played)
+        self.write_provenance()
+        self.write_status(COMPLETE)
+
+    def write_status(self, state: str, **more: Any) -> None:
+        status = {
+            "state": state,
+            "episodes_done": self.episodes,
+            "episodes": self.run.params.episodes,
+            **more,
+        }
+        text = json.dumps(status, indent=1) + "\n"
+        write_atomically(self.run.folder / "status.json", text.encode())
+
+    def write_provenance(self) -> None:
+        """Where the run comes from: every stretch of training that has gone into it."""
+        provenance = {
+            "training_version": TRAINING_VERSION,
+            "identity": self.run.params.identity(),
+            "device": str(self.trainer.learner.device),
+            "agent_steps": self.trainer.agent_steps,
+            "updates": self.trainer.learner.updates,
+            "wall_clock_seconds": round(self.now(), 1),
+            "resumes": len(self.sessions) - 1,
+            "sessions": self.sessions,
+        }
+        text = json.dumps(provenance, indent=1) + "\n"
+        write_atomically(self.run.folder / "provenance.json", text.encode())
+
+
+def _session(first_episode: int) -> dict[str, Any]:
+    """What this stretch of training runs on."""
+    return {
+        "first_episode": first_episode,
+        "started": datetime.now(UTC).isoformat(timespec="seconds"),
+        "commit": _commit(),
+        "python": platform.python_version(),
+        "versions": {name: version(name) for name in VERSIONED},
+        "processor": _processor(),
+        "cores": os.cpu_count(),
+        "threads": torch.get_num_threads(),
+    }
+
+
+@contextmanager
+def _stop_signals() -> Iterator[Callable[[], bool]]:
+    """Turns SIGTERM and Ctrl-C into a flag, so that a step is never cut in two."""
+    received: list[int] = []
+    if threading.current_thread() is not threading.main_thread():
+        yield lambda: False
+        return
+    before = {
+        number: signal.signal(number, lambda received_now, _: received.append(received_now))
+        for number in (signal.SIGTERM, signal.SIGINT)
+    }
+    try:
+        yield lambda: bool(received)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _row(record: Episode | ValueCheck) -> str:
+    return ",".join(_text(getattr(record, field.name)) for field in fields(record))
+
+
+def _text(value: float) -> str:
+    """The shortest text that reads back as the same number; whole scores without a point."""
+    number = float(value)
+    return str(int(number)) if number.is_integer() else repr(number)
+
+
+def _commit() -> str:
+    """The project's git commit, with a + if files differ from it; unknown outside git."""
+    git = ["git", "-C", str(Path(__file__).parent)]
+    try:
+        head = subprocess.run([*git, "rev-parse", "HEAD"], capture_output=True, text=True)
+        if head.returncode:
+            return "unknown"
+        changed = subprocess.run([*git, "diff", "--quiet", "HEAD", "--", "."], capture_output=True)
+    except OSError:
+        return "unknown"
+    return head.stdout.strip() + ("+" if changed.returncode else "")
+
+
+def _processor() -> str:
+    if sys.platform == "linux":
+        for line in Path("/proc/cpuinfo").read_text().splitlines():
+            if line.startswith("model name"):
+                return line.split(":", 1)[1].strip()
+    return platform.processor() or platform.machine()
+
+
