@@ -118,7 +118,7 @@ def run(
 ) -> None:
     """Train what is missing or interrupted, several runs at once."""
     if scheduler is not None:
-        raise ParameterError(f"--scheduler {scheduler!r}: running on a cluster is not available yet")
+        raise ParameterError(f"--scheduler {scheduler!r}: clusters are not supported yet")
     wanted = experiments.planned(profile, names or [], results)
     with _interruptible():
         failures = experiments.train_all(wanted, workers)

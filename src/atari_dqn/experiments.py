@@ -112,7 +112,7 @@ class _Worker:
         self.run, self.place = run, place
         self.receiver, sender = context.Pipe(duplex=False)
         self.process = context.Process(target=_train, args=(run, place, bar_lock, sender))
-        # Ctrl-C reaches the whole process group: the parent alone acts on it, and tells its workers.
+        # Ctrl-C reaches the whole process group: the parent alone acts on it, and tells the others.
         before = signal.signal(signal.SIGINT, signal.SIG_IGN)
         self.process.start()
         signal.signal(signal.SIGINT, before)
