@@ -13,7 +13,7 @@ RESULTS_OPTION := $(if $(RESULTS),--results $(RESULTS))
 PARAMS_FILE = params/$(if $(filter-out full,$(PROFILE)),$(PROFILE)/)$(EXPERIMENT).yaml
 
 .DEFAULT_GOAL := help
-.PHONY: help report lab test check format train experiments status lock clean
+.PHONY: help report lab test check format train experiments status bench lock clean
 
 help: ## list what can be made
 	@sed -n 's/^\([a-z]*\):[^#]*## \(.*\)/  make \1|\2/p' $(MAKEFILE_LIST) | awk -F'|' '{printf "%-19s %s\n", $$1, $$2}'
@@ -65,7 +65,14 @@ lock: $(READY) ## renew environment.lock from pyproject.toml
 	  --python-version 3.11 --generate-hashes --no-emit-package torch --no-annotate --no-header \
 	  --no-emit-index-url --no-emit-find-links --upgrade --output-file environment.lock
 
+bench: $(READY) ## measure training speed beside the peers' (half an hour; an environment of its own)
+	test -d .venv-bench || $(PYTHON) -m venv .venv-bench
+	.venv-bench/bin/python -m pip install --quiet $(TORCH) \
+	  $(if $(TORCH_INDEX),--index-url $(TORCH_INDEX))
+	.venv-bench/bin/python -m pip install --quiet --requirement benchmarks/requirements.txt
+	$(VENV)/bin/python benchmarks/throughput.py --peers .venv-bench/bin/python
+
 clean: ## remove everything that can be made again; stored runs and checkpoints stay
-	rm -rf $(VENV) results/notebooks results/report results/quick results/smoke
+	rm -rf $(VENV) .venv-bench results/notebooks results/report results/quick results/smoke
 	rm -rf .pytest_cache .ruff_cache .hypothesis
 	find src tests -name __pycache__ -prune -exec rm -rf {} +

@@ -259,9 +259,9 @@ def test_a_run_whose_folder_was_lost_comes_back_whole_from_its_checkpoint(tmp_pa
     assert (run.folder / "snapshots" / "games-00001.safetensors").exists()
 
 
-def test_a_resume_on_another_processor_is_told(tmp_path, small, monkeypatch):
+def test_a_resume_on_anotherprocessor_is_told(tmp_path, small, monkeypatch):
     recording.train(Run(small(episodes=1), tmp_path))
-    monkeypatch.setattr(recording, "_processor", lambda: "another one")
+    monkeypatch.setattr(recording, "processor", lambda: "another one")
     with pytest.warns(UserWarning, match="goes on with another one"):
         recording.train(Run(small(episodes=2), tmp_path))
 

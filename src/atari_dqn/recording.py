@@ -295,7 +295,7 @@ def _session(first_episode: int) -> dict[str, Any]:
         "commit": _commit(),
         "python": platform.python_version(),
         "versions": {name: version(name) for name in VERSIONED},
-        "processor": _processor(),
+        "processor": processor(),
         "cores": os.cpu_count(),
         "threads": torch.get_num_threads(),
     }
@@ -342,7 +342,8 @@ def _commit() -> str:
     return head.stdout.strip() + ("+" if changed.returncode else "")
 
 
-def _processor() -> str:
+def processor() -> str:
+    """The name of this machine's processor."""
     if sys.platform == "linux":
         for line in Path("/proc/cpuinfo").read_text().splitlines():
             if line.startswith("model name"):

@@ -1,0 +1,233 @@
+"""Training speed beside the peers': agent steps a second of the whole machine, in one run.
+
+    make bench            or    python benchmarks/throughput.py --peers .venv-bench/bin/python
+
+Every contestant does the unit of work of `workload.py` in processes of its own; contestants take
+turns, round after round, so that a slow spell of the machine meets them all. Writes throughput.csv
+(median, and lowest and highest round), throughput.svg and machine.json into results/benchmarks/.
+"""
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import seaborn as sns
+import torch
+from ale_py import roms
+from matplotlib import pyplot as plt
+from torch import nn
+from workload import BATCH, UPDATE_PERIOD
+
+from atari_dqn import plots
+from atari_dqn.agents import AGENTS
+from atari_dqn.envs import ALEInterface
+from atari_dqn.networks import Linear
+from atari_dqn.recording import processor
+from atari_dqn.runs import project_root
+from atari_dqn.training import prepare_process
+
+HERE = Path(__file__).parent
+CORES = os.cpu_count() or 1
+OURS = "atari-dqn"
+SCRIPTS = {OURS: "run_ours.py", "Stable-Baselines3": "run_sb3.py", "Tianshou": "run_tianshou.py"}
+
+
+@dataclass(frozen=True)
+class Contestant:
+    """A library in one set-up: `processes` of `threads` each, all at once."""
+
+    library: str
+    agent: str
+    processes: int
+    threads: int
+    environments: int
+
+    @property
+    def setup(self) -> str:
+        several = "one process a core" if self.processes > 1 else "one process"
+        return f"{several}, {self.threads} thread{'s' * (self.threads > 1)}"
+
+    def measure(self, peers: str, steps: int) -> float:
+        """Agent steps a second, all processes together."""
+        python = sys.executable if self.library == OURS else peers
+        command = [python, str(HERE / SCRIPTS[self.library]), f"--agent={self.agent}"]
+        command += [f"--environments={self.environments}", f"--threads={self.threads}"]
+        command += [f"--steps={steps}"]
+        environment = {**os.environ, "OMP_NUM_THREADS": str(self.threads)}
+        environment["PYTHONWARNINGS"] = "ignore"
+        running = [
+            subprocess.Popen(
+                command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment
+            )
+            for _ in range(self.processes)
+        ]
+        speed = 0.0
+        for process in running:
+            output, errors = process.communicate()
+            if process.returncode:
+                raise SystemExit(f"{self} failed:\n{errors[-2000:]}")
+            result = json.loads(output.splitlines()[-1])
+            speed += result["steps"] / result["seconds"]
+        return speed
+
+
+def contestants(libraries: list[str]) -> Iterator[Contestant]:
+    for library in libraries:
+        # Double DQN is measured where a library has it: Stable-Baselines3 has not.
+        agents = ["dqn"] if library == "Stable-Baselines3" else ["dqn", "double_dqn"]
+        for agent in agents:
+            for environments in (1, 8):
+                yield Contestant(library, agent, 1, CORES, environments)
+                yield Contestant(library, agent, CORES, 1, environments)
+    if OURS in libraries:
+        yield Contestant(OURS, "dqn", 1, 1, 8)  # what a second core brings
+
+
+def matrix_peak() -> float:
+    """Float32 operations a second of one core: the faster of torch's two matrix products."""
+    size, best = 1024, 0.0
+    x, weight = torch.randn(size, size), torch.randn(size, size)
+    layer = Linear(size, size)
+    layer.weight = nn.Parameter(weight)
+    with torch.no_grad():
+        for product in (lambda: torch.mm(x, weight), lambda: layer(x)):
+            for _ in range(40):
+                start = time.perf_counter()
+                product()
+                best = max(best, 2 * size**3 / (time.perf_counter() - start))
+    return best
+
+
+def emulation_seconds(steps: int = 3000) -> float:
+    """Seconds that the emulator alone takes for an agent step of Boxing (4 frames)."""
+    ale = ALEInterface()
+    ale.loadROM(roms.get_rom_path("boxing"))
+    actions = ale.getMinimalActionSet()
+    choices = np.random.default_rng(0).integers(len(actions), size=steps)
+    start = time.perf_counter()
+    for choice in choices:
+        if ale.game_over():
+            ale.reset_game()
+        for _ in range(4):
+            ale.act(actions[choice])
+    return (time.perf_counter() - start) / steps
+
+
+def operations(agent: str) -> float:
+    """Float operations of an agent step: its share of an update, and selecting its action."""
+    forward, to_input = 0, 0
+    network = AGENTS[agent].network(4, 18)
+
+    def count(layer: nn.Module, inputs: tuple, output: torch.Tensor) -> None:
+        nonlocal forward, to_input
+        each = 2 * layer.weight[0].numel() * output[0].numel()
+        forward += each
+        to_input += 0 if inputs[0].shape[1] == 4 else each  # pixels need no gradient
+
+    for layer in network.modules():
+        if isinstance(layer, nn.Conv2d | nn.Linear):
+            layer.register_forward_hook(count)
+    network(torch.zeros(1, 84, 84, 4, dtype=torch.uint8))
+    # target on s', online on s, the gradients of weights and of inputs; Double: online on s' too
+    passes = 3 * forward + to_input + (forward if agent == "double_dqn" else 0)
+    return BATCH * passes / UPDATE_PERIOD + forward
+
+
+def table(speeds: dict[Contestant, list[float]], roofline: dict[str, float]) -> pd.DataFrame:
+    """A row a contestant; shares and ratios are of medians."""
+    medians = {contestant: float(np.median(found)) for contestant, found in speeds.items()}
+    rows = []
+    for contestant, found in speeds.items():
+        peers = [
+            speed
+            for other, speed in medians.items()
+            if other.library != OURS and other.agent == contestant.agent
+        ]
+        cores = contestant.processes * contestant.threads
+        rows.append(
+            {
+                "library": contestant.library,
+                "setup": contestant.setup,
+                "agent": contestant.agent,
+                "processes": contestant.processes,
+                "environments": contestant.environments,
+                "steps_per_second": round(medians[contestant], 1),
+                "low": round(min(found), 1),
+                "high": round(max(found), 1),
+                "ratio_to_best_peer": round(medians[contestant] / max(peers), 2) if peers else "",
+                "share_of_roofline": round(
+                    medians[contestant] / (roofline[contestant.agent] * cores), 3
+                ),
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def draw(measured: pd.DataFrame, path: Path) -> None:
+    """Each library's best set-up, with the range over rounds."""
+    plots.style()
+    best = measured.loc[measured.groupby(["library", "agent"]).steps_per_second.idxmax()]
+    best = best.sort_values("steps_per_second", ascending=False)
+    best["agent"] = best.agent.map(lambda agent: AGENTS[agent].title)
+    figure, axes = plt.subplots(figsize=(plots.WIDTH, 2.6))
+    sns.barplot(best, x="steps_per_second", y="library", hue="agent", palette="colorblind", ax=axes)
+    for bars in axes.containers:
+        axes.bar_label(bars, fmt="%.0f", padding=3, fontsize="small")
+    axes.set(xlabel="agent steps a second, whole machine, best set-up", ylabel="")
+    axes.legend(title=None, loc="lower right")
+    figure.savefig(path, metadata={"Date": None, "Creator": None})
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--peers", help="the Python that has the peers; without it, ours alone")
+    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--steps", type=int, default=3000, help="agent steps timed a process")
+    parser.add_argument("--output", type=Path, default=project_root() / "results" / "benchmarks")
+    chosen = parser.parse_args()
+    prepare_process()
+    libraries = list(SCRIPTS) if chosen.peers else [OURS]
+    field = list(contestants(libraries))
+    speeds: dict[Contestant, list[float]] = {contestant: [] for contestant in field}
+    peaks, emulations = [], []
+    for turn in range(chosen.rounds):
+        peaks.append(matrix_peak())
+        emulations.append(emulation_seconds())
+        for contestant in field:
+            speeds[contestant].append(contestant.measure(chosen.peers, chosen.steps))
+            print(
+                f"round {turn + 1}: {contestant} {speeds[contestant][-1]:.0f} steps/s", flush=True
+            )
+    peak, emulation = float(np.median(peaks)), float(np.median(emulations))
+    roofline = {
+        agent: 1 / (operations(agent) / peak + emulation) for agent in ("dqn", "double_dqn")
+    }
+    chosen.output.mkdir(parents=True, exist_ok=True)
+    measured = table(speeds, roofline)
+    measured.to_csv(chosen.output / "throughput.csv", index=False)
+    draw(measured, chosen.output / "throughput.svg")
+    machine = {
+        "processor": processor(),
+        "cores": CORES,
+        "float32_gflops_a_core": round(peak / 1e9, 1),
+        "emulation_ms_an_agent_step": round(emulation * 1e3, 3),
+        "megaflop_an_agent_step": {a: round(operations(a) / 1e6, 1) for a in roofline},
+        "roofline_steps_per_second_a_core": {a: round(v, 1) for a, v in roofline.items()},
+        "rounds": chosen.rounds,
+        "agent_steps_timed": chosen.steps,
+    }
+    (chosen.output / "machine.json").write_text(json.dumps(machine, indent=1) + "\n")
+    print(measured.to_string(index=False))
+    print(json.dumps(machine, indent=1))
+
+
+if __name__ == "__main__":
+    main()
