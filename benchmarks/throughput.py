@@ -202,10 +202,9 @@ def main() -> None:
         peaks.append(matrix_peak())
         emulations.append(emulation_seconds())
         for contestant in field:
-            speeds[contestant].append(contestant.measure(chosen.peers, chosen.steps))
-            print(
-                f"round {turn + 1}: {contestant} {speeds[contestant][-1]:.0f} steps/s", flush=True
-            )
+            speed = contestant.measure(chosen.peers, chosen.steps)
+            speeds[contestant].append(speed)
+            print(f"round {turn + 1}: {contestant} {speed:.0f} steps/s", flush=True)
     peak, emulation = float(np.median(peaks)), float(np.median(emulations))
     roofline = {
         agent: 1 / (operations(agent) / peak + emulation) for agent in ("dqn", "double_dqn")

@@ -3,7 +3,7 @@ import pytest
 import torch
 from torch import nn
 
-from atari_dqn.agents import AGENTS, Learner, double_q_learning, q_learning
+from atari_dqn.agents import AGENTS, Learner, double_q_learning, learning_rate, q_learning
 from atari_dqn.networks import FEATURES, DuelingNetwork, NatureNetwork
 from atari_dqn.replay import Batch
 
@@ -206,3 +206,41 @@ def test_each_agent_finds_the_known_optimum_of_a_small_problem(agent, small):
     found = learner.q_values(pictures)
     np.testing.assert_allclose(found, optimum, atol=0.04)
     assert (found.argmax(1) == optimum.argmax(1)).all()
+
+
+@pytest.mark.parametrize("agent", AGENTS)
+@pytest.mark.parametrize("layers", ["all", "convolutions"])
+def test_transfer_takes_over_the_named_layers_and_leaves_the_rest_fresh(agent, layers, small):
+    source = Learner(AGENTS[agent], 4, small(), seed=1).online.state_dict()
+    parameters = small(transferred_layers=layers)
+    fresh = Learner(AGENTS[agent], 18, parameters, seed=2).online.state_dict()
+    learner = Learner(AGENTS[agent], 18, parameters, 2, initial=source)
+    for name, weight in learner.online.state_dict().items():
+        taken = name.startswith("convolutions") or (layers == "all" and "hidden" in name)
+        assert torch.equal(weight, source[name] if taken else fresh[name]), name
+        assert torch.equal(weight, learner.target.state_dict()[name]), name
+
+
+def test_weights_of_another_network_are_refused(small):
+    source = Learner(AGENTS["dqn"], 18, small(), seed=1).online.state_dict()
+    with pytest.raises(ValueError, match=r"have no value_hidden\.weight of \(512, 3136\)"):
+        Learner(AGENTS["dueling_double_dqn"], 18, small(), 1, initial=source)
+
+
+def test_frozen_convolutions_never_change_and_everything_else_does(small):
+    learner = Learner(AGENTS["double_dqn"], 18, small(freeze_convolutions=True), seed=0)
+    before = {name: weight.clone() for name, weight in learner.online.state_dict().items()}
+    learner.learn(batch_of(8, np.random.default_rng(0)), 2)
+    for name, weight in learner.online.state_dict().items():
+        assert torch.equal(weight, before[name]) == name.startswith("convolutions"), name
+    restored = Learner(AGENTS["double_dqn"], 18, small(freeze_convolutions=True), seed=5)
+    restored.set_state(learner.get_state())
+    one, other = batch_of(4, np.random.default_rng(1)), batch_of(4, np.random.default_rng(1))
+    assert learner.learn(one, 1) == restored.learn(other, 1)
+
+
+def test_the_learning_rate_warms_up_over_finished_games(small):
+    parameters = small(warmup_games=200, warmup_learning_rate=1e-6, learning_rate=1e-5)
+    rates = [learning_rate(parameters, games) for games in (0, 100, 200, 5000)]
+    assert rates == pytest.approx([1e-6, 5.5e-6, 1e-5, 1e-5])
+    assert learning_rate(small(), 0) == small().learning_rate

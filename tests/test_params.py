@@ -6,6 +6,11 @@ from atari_dqn import experiments, params
 from atari_dqn.params import ParameterError, Parameters
 
 ROOT = Path(__file__).parents[1]
+# What only some experiments need to name.
+RARE = {
+    *("device", "warmup_games", "warmup_learning_rate", "variations"),
+    *("initial_weights", "transferred_layers", "freeze_convolutions"),
+}
 
 
 def write(folder, text, name="mine.yaml"):
@@ -21,7 +26,7 @@ def test_every_committed_file_loads_and_names_every_training_parameter(profile):
     for path in files:
         values = params.read_values(path)
         assert params.load(path).profile == profile
-        assert set(values) | {"device"} == set(Parameters.model_fields), path
+        assert set(Parameters.model_fields) - set(values) <= RARE, path
 
 
 @pytest.mark.parametrize("path", sorted((ROOT / "params").rglob("*.yaml")), ids=str)
@@ -130,3 +135,28 @@ def test_overrides_outside_training_have_a_name_of_their_own_too(tmp_path):
 def test_only_a_known_agent_and_a_whole_seed_can_be_picked(agent, seed):
     with pytest.raises(ParameterError, match="is not allowed"):
         params.pick(Parameters(experiment="any"), agent, seed)
+
+
+def test_variations_are_what_the_same_overrides_would_give(tmp_path):
+    text = "variations: {slow: {learning_rate: 1.0e-5}, same: {gamma: 0.99}}"
+    path = write(tmp_path, text)
+    variants = params.variants(params.load(path))
+    assert variants["slow"] == params.load(path, {"learning_rate": 1e-5})
+    assert variants["slow"].experiment.startswith("mine+")
+    assert variants["same"].experiment == "mine"
+    assert list(params.variants(Parameters(experiment="plain"))) == ["plain"]
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("variations: {a: {gama: 0.9}}", "did you mean 'gamma'"),
+        ("variations: {a: {gamma: 2}}", "gamma: 2 is not allowed"),
+        ("variations: {a: {}}", "'a' is not allowed"),
+        ("variations: {a: {episodes: 5}}", "'a' is not allowed"),
+    ],
+)
+def test_a_bad_variation_is_refused_with_its_label(tmp_path, text, said):
+    with pytest.raises(ParameterError, match="variations") as caught:
+        params.load(write(tmp_path, text))
+    assert said in str(caught.value)

@@ -279,3 +279,14 @@ def test_a_failing_run_says_so_in_its_status(tmp_path, small, monkeypatch):
         recording.train(run)
     assert run.state() == "failed"
     assert "ZeroDivisionError" in run.status()["error"]
+
+
+def test_a_transfer_run_starts_from_the_finished_model_it_names(tmp_path, small):
+    transfer = small(experiment="transfer", game="breakout", initial_weights="small", episodes=1)
+    run = Run(transfer, tmp_path)
+    with pytest.raises(RunError, match="starts from small/double_dqn/seed-1, which"):
+        recording.train(run)
+    assert not (run.folder / "episodes.csv").exists()
+    recording.train(Run(small(episodes=1), tmp_path))
+    recording.train(run)
+    assert run.state() == "complete"

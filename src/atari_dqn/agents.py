@@ -52,17 +52,28 @@ AGENTS = {
 class Learner:
     """The online network, its target network and the optimiser."""
 
-    def __init__(self, agent: Agent, actions: int, params: Parameters, seed: int):
+    def __init__(
+        self,
+        agent: Agent,
+        actions: int,
+        params: Parameters,
+        seed: int,
+        initial: dict[str, Tensor] | None = None,
+    ):
         self.agent, self.params = agent, params
         self.device = torch_device(params.device)
         with torch.random.fork_rng():  # nothing but the initial weights is drawn from torch
             torch.manual_seed(seed)
             self.online = agent.network(params.frame_stack, actions).to(self.device)
             self.target = agent.network(params.frame_stack, actions).to(self.device)
+        if initial is not None:
+            transfer(initial, self.online, params.transferred_layers)
+        self.online.convolutions.requires_grad_(not params.freeze_convolutions)
         self.target.load_state_dict(self.online.state_dict())
         self.target.requires_grad_(False)
+        learned = [weight for weight in self.online.parameters() if weight.requires_grad]
         self.optimiser = torch.optim.Adam(
-            self.online.parameters(), lr=params.learning_rate, eps=params.adam_epsilon, fused=True
+            learned, lr=params.learning_rate, eps=params.adam_epsilon, fused=True
         )
         self.updates = 0
 
@@ -100,6 +111,10 @@ class Learner:
             self._update_target()
         return losses / updates, values / updates
 
+    def set_learning_rate(self, rate: float) -> None:
+        for group in self.optimiser.param_groups:
+            group["lr"] = rate
+
     def updates_until_target(self) -> int:
         """How many updates may be made before the target network changes."""
         period = self.params.target_update_period
@@ -121,7 +136,7 @@ class Learner:
         moments = {
             f"{name}.{key}": value
             for name, parameter in self.online.named_parameters()
-            for key, value in self.optimiser.state[parameter].items()
+            for key, value in self.optimiser.state.get(parameter, {}).items()
         }
         return {
             "online": self.online.state_dict(),
@@ -140,6 +155,8 @@ class Learner:
         if self.updates == 0:
             return  # Adam makes its moments in the first update
         for name, parameter in self.online.named_parameters():
+            if not parameter.requires_grad:
+                continue
             step, *moments = (
                 torch.as_tensor(state["moments"][f"{name}.{key}"])
                 for key in ("step", "exp_avg", "exp_avg_sq")
@@ -151,6 +168,28 @@ class Learner:
                 "exp_avg": first,
                 "exp_avg_sq": second,
             }
+
+
+@torch.no_grad()
+def transfer(weights: dict[str, Tensor], network: nn.Module, layers: str) -> None:
+    """Copies a trained network's `weights` into another of the same kind.
+
+    `layers`: "convolutions", or "all" but the output layers, which stay as they are, since games
+    differ in their actions. Raises ValueError if a weight is missing or has another shape.
+    """
+    for name, own in network.named_parameters():
+        if name.startswith("convolutions") or (layers == "all" and "output" not in name):
+            if name not in weights or weights[name].shape != own.shape:
+                raise ValueError(f"the weights to start from have no {name} of {tuple(own.shape)}")
+            own.copy_(weights[name])
+
+
+def learning_rate(params: Parameters, games_finished: int) -> float:
+    """Step size of Adam: rises linearly over the first `warmup_games`, then stays."""
+    if games_finished >= params.warmup_games:
+        return params.learning_rate
+    share = games_finished / params.warmup_games
+    return params.warmup_learning_rate * (1 - share) + params.learning_rate * share
 
 
 def torch_device(name: str) -> torch.device:

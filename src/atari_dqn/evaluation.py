@@ -46,12 +46,16 @@ def model_bytes(network: nn.Module) -> bytes:
     return save(weights)
 
 
+def read_model(path: Path) -> dict[str, torch.Tensor]:
+    """The weights in a model.safetensors, float32."""
+    return {name: value.float() for name, value in load_file(path).items()}
+
+
 def load_model(path: Path, params: Parameters) -> nn.Module:
     """The network of `params`' first agent with the weights in `path`."""
-    weights = {name: value.float() for name, value in load_file(path).items()}
     actions = len(game_of(params).actions)
     network = AGENTS[params.agents[0]].network(params.frame_stack, actions)
-    network.load_state_dict(weights)
+    network.load_state_dict(read_model(path))
     return network.requires_grad_(False).to(torch_device(params.device))
 
 

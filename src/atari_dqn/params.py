@@ -89,12 +89,26 @@ class Parameters(BaseModel):
     update_period: int = Field(4, ge=1, description="agent steps an update")
     batch_size: int = Field(32, ge=1, description="transitions an update")
     learning_rate: Number = Field(1e-4, gt=0, description="step size of Adam")
+    warmup_games: int = Field(0, ge=0, description="games in which the learning rate rises")
+    warmup_learning_rate: Number = Field(0.0, ge=0, description="step size before the first game")
     adam_epsilon: Number = Field(1e-8, gt=0, description="added to Adam's denominator")
     gamma: Number = Field(0.99, ge=0, lt=1, description="discount an agent step")
     target_update_period: int = Field(1000, ge=1, description="updates between target updates")
     tau: Number = Field(1.0, gt=0, le=1, description="share of the way to the online weights")
 
+    # Training: transfer
+    initial_weights: str = Field(
+        "", description="experiment whose model of the same agent and seed to start from; or none"
+    )
+    transferred_layers: Literal["all", "convolutions"] = Field(
+        "all", description="all but the output layers, or the convolutions only"
+    )
+    freeze_convolutions: bool = Field(False, description="never change the convolutions")
+
     # Not training
+    variations: dict[str, dict[str, Any]] = Field(
+        {}, description="label: {parameter: value}; each is run beside the others"
+    )
     snapshot_games: list[Annotated[int, Field(ge=1)]] = Field(
         [], description="games after which the weights are kept"
     )
@@ -126,6 +140,10 @@ class Parameters(BaseModel):
             raise _key_error("replay_capacity", self.replay_capacity, f"at least {smallest}")
         if self.epsilon_floor > self.epsilon_start:
             raise _key_error("epsilon_floor", self.epsilon_floor, "above epsilon_start")
+        for label, changes in self.variations.items():
+            if not changes or set(changes) & NOT_VARIANT:
+                raise _key_error("variations", label, "names parameters that vary the training")
+            _check_variation(self, label, changes)
         return self
 
     def variant(self) -> str:
@@ -142,8 +160,15 @@ class Parameters(BaseModel):
         return _digest(self.model_dump(exclude=NOT_TRAINING, exclude_defaults=True))
 
 
-NOT_VARIANT = {"experiment", "profile", "agents", "seeds", "episodes", "device"}
+NOT_VARIANT = {"experiment", "profile", "agents", "seeds", "episodes", "device", "variations"}
 NOT_TRAINING = NOT_VARIANT | {"snapshot_games", "evaluation_games", "evaluation_epsilon"}
+
+
+def _check_variation(params: Parameters, label: str, changes: dict[str, Any]) -> None:
+    try:
+        Parameters.model_validate({**params.model_dump(), "variations": {}, **changes})
+    except ValidationError as error:
+        raise _key_error("variations", label, _one_line(error)) from None
 
 
 def _digest(values: dict[str, Any]) -> str:
@@ -217,7 +242,26 @@ def load(path: Path | str, overrides: dict[str, Any] | None = None) -> Parameter
         )
     base = parse(values, str(path))
     changed = parse({**values, **(overrides or {})}, f"{path} with overrides")
-    picks = {"agents", "seeds", "device"}
+    return _renamed(base, changed)
+
+
+def variants(params: Parameters) -> dict[str, Parameters]:
+    """{label: parameters} of an experiment's variations; the experiment itself, if it has none.
+
+    A variation is what `load` with the same overrides would give.
+    """
+    if not params.variations:
+        return {params.experiment: params}
+    values = params.model_dump()
+    return {
+        label: _renamed(params, parse({**values, **changes}, f"variation {label!r}"))
+        for label, changes in params.variations.items()
+    }
+
+
+def _renamed(base: Parameters, changed: Parameters) -> Parameters:
+    """`changed` under a name of its own, if it differs from `base` in more than what is picked."""
+    picks = {"agents", "seeds", "device", "variations"}
     if changed.model_dump(exclude=picks) == base.model_dump(exclude=picks):
         return changed
     return changed.model_copy(update={"experiment": f"{base.experiment}+{changed.variant()}"})

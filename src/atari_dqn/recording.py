@@ -117,7 +117,7 @@ class Recorder:
 
     def __init__(self, run: Run):
         self.run = run
-        self.trainer = Trainer(run.params, run.agent, run.seed)
+        self.trainer = Trainer(run.params, run.agent, run.seed, run.initial_weights())
         self.episodes, self.seconds = 0, 0.0
         self.scores: list[float] = []
         self.snapshots: dict[str, bytes] = {}

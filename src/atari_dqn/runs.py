@@ -25,6 +25,7 @@ from pathlib import Path
 from typing import Any
 
 import pandas as pd
+import torch
 from filelock import FileLock, Timeout
 from safetensors import SafetensorError
 from tqdm import tqdm
@@ -102,6 +103,23 @@ class Run:
             return INTERRUPTED  # killed without a chance to say so
         return status["state"]
 
+    def source(self) -> "Run | None":
+        """The run whose model this one starts from, if any."""
+        if not self.params.initial_weights:
+            return None
+        like = {"experiment": self.params.initial_weights}
+        return Run(self.params.model_copy(update=like), self.results)
+
+    def initial_weights(self) -> dict[str, torch.Tensor] | None:
+        """The weights that this run starts from; raises RunError if they are not there yet."""
+        source = self.source()
+        if source is None:
+            return None
+        path = source.folder / "model.safetensors"
+        if not path.exists():
+            raise RunError(f"{self.name} starts from {source.name}, which is not finished yet")
+        return evaluation.read_model(path)
+
     def status(self) -> dict[str, Any]:
         return json.loads((self.folder / "status.json").read_bytes())
 
@@ -147,9 +165,10 @@ class Run:
 
 
 def runs_of(parameters: Parameters, results: Path) -> list[Run]:
-    """A run for every agent and seed of an experiment."""
+    """A run for every variation, seed and agent of an experiment."""
     return [
-        Run(params.pick(parameters, agent, seed), results)
+        Run(params.pick(variant, agent, seed), results)
+        for variant in params.variants(parameters).values()
         for seed in parameters.seeds
         for agent in parameters.agents
     ]

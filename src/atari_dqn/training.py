@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from atari_dqn.agents import AGENTS, Learner
+from atari_dqn.agents import AGENTS, Learner, learning_rate
 from atari_dqn.envs import FinishedGame, LockstepGames
 from atari_dqn.exploration import epsilon, epsilon_greedy
 from atari_dqn.params import Parameters
@@ -61,11 +61,19 @@ class Episode:
 class Trainer:
     """One run: an agent, its games and its memory, from a seed.
 
+    `initial` are weights to start from (`agents.transfer`).
+
     Deterministic on one machine with one torch thread: the same parameters, agent and seed give
     the same weights and the same episodes, bit for bit.
     """
 
-    def __init__(self, params: Parameters, agent: str, seed: int):
+    def __init__(
+        self,
+        params: Parameters,
+        agent: str,
+        seed: int,
+        initial: dict[str, torch.Tensor] | None = None,
+    ):
         seeds = np.random.SeedSequence(seed).spawn(4)
         self.params = params
         self.games = LockstepGames(params, seeds[0])
@@ -73,8 +81,8 @@ class Trainer:
             params.replay_capacity, params.environments, params.frame_stack, seeds[1]
         )
         self.rng = np.random.default_rng(seeds[2])  # exploration
-        initial = int(seeds[3].generate_state(1)[0])
-        self.learner = Learner(AGENTS[agent], self.games.actions, params, initial)
+        weights_seed = int(seeds[3].generate_state(1)[0])
+        self.learner = Learner(AGENTS[agent], self.games.actions, params, weights_seed, initial)
         self.agent_steps, self.episodes, self.frames = 0, 0, 0
         self.sums = np.zeros(3)  # loss, Q-value, updates since games last finished
         self.means = (float("nan"), float("nan"))
@@ -107,6 +115,7 @@ class Trainer:
     def _learn(self) -> None:
         steps = self.agent_steps - self.params.learning_starts
         due = max(0, steps // self.params.update_period) - self.learner.updates
+        self.learner.set_learning_rate(learning_rate(self.params, self.episodes))
         while due > 0:
             count = min(due, self.learner.updates_until_target())
             batch = self.memory.sample(count * self.params.batch_size)
