@@ -70,7 +70,8 @@ def learning_curves(episodes: pd.DataFrame, facts: GameFacts, window: int) -> Fi
         )
     axes.set(xlabel="games played", ylabel=f"score, mean of {window} games")
     handles, names = axes.get_legend_handles_labels()
-    axes.legend(handles, [AGENTS[name].title for name in names], loc="upper left")
+    titles = [AGENTS[name].title for name in names]
+    axes.legend(handles, titles, loc="lower left", bbox_to_anchor=(0, 1), ncols=len(titles))
     return figure
 
 

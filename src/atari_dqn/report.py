@@ -99,6 +99,7 @@ def _typeset(text: str, stamp: str, made: Path) -> None:
     bibliography = root / "notebooks" / "references.bib"
     shared = [
         "--standalone",
+        "--columns=10000",  # no table line is too long for columns as wide as their contents
         "--citeproc",
         f"--bibliography={bibliography}",
         f"--resource-path={made}",

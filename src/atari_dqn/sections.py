@@ -93,8 +93,9 @@ class Section:
         usable = [run for run in self.runs if run.state() not in (runs.MISSING, runs.STALE)]
         self.episodes: pd.DataFrame = runs.read_table(usable, "episodes.csv")
         self.evaluations: pd.DataFrame = self._own(runs.read_table(usable, "evaluations.csv"))
-        # How many games a point of a learning curve is the mean of, and the marks of the tables.
-        self.window = max(1, min(500, self.params.episodes // 6))
+        # How many games a point of a learning curve, and a number at a mark, is the mean of.
+        self.curve_window = max(1, self.params.episodes // 30)
+        self.mark_window = max(1, self.params.episodes // len(MARKS))
 
     def _own(self, evaluations: pd.DataFrame) -> pd.DataFrame:
         """Only the games that were played as the experiment trains and evaluates."""
@@ -130,10 +131,6 @@ class Section:
                 text += f"\n\n{run.name} is {state}; `{command}` finishes it."
         show_text(f"::: {{.badge}}\n{text}\n:::")
 
-    def has_curves(self) -> bool:
-        """Whether a run has enough games for a point of a learning curve."""
-        return len(self.episodes) > 0 and self.episodes.episode.max() >= self.window
-
     def counted(self) -> str:
         """How many seeds and games there are, for captions."""
         if self.episodes.empty:
@@ -165,13 +162,21 @@ def show_figure(figure: Figure, label: str, caption: str, alt: str) -> None:
 
 def show_table(table: pd.DataFrame, label: str, caption: str, decimals: int = 2) -> None:
     """Shows a table with its caption; missing numbers are dashes."""
-    text = table.to_markdown(index=False, floatfmt=f".{decimals}f", missingval="–")
+    shown = table.map(lambda cell: f"{cell:.{decimals}f}" if isinstance(cell, float) else cell)
+    shown = shown.mask(table.isna(), "–")
+    right = tuple("right" if kind.kind in "if" else "left" for kind in table.dtypes)
+    text = shown.to_markdown(index=False, disable_numparse=True, colalign=right)
     show_text(f"{text}\n\n: {caption} {{#{label}}}")
 
 
 def settings(of: list[Parameters]) -> pd.DataFrame:
-    """A row a training parameter, with its unit and its value in each experiment."""
-    shown = [key for key in Parameters.model_fields if key not in params.NOT_TRAINING]
+    """A row a training parameter, with its unit and its value in each experiment.
+
+    Parameters that only other experiments use are left out.
+    """
+    rare = {"warmup_games", "warmup_learning_rate", "initial_weights", "freeze_convolutions"}
+    rare |= {"transferred_layers"} | params.NOT_TRAINING
+    shown = [key for key in Parameters.model_fields if key not in rare]
     table = pd.DataFrame(
         {
             "parameter": [f"`{key}`" for key in shown],
@@ -186,27 +191,52 @@ def settings(of: list[Parameters]) -> pd.DataFrame:
     return table
 
 
+def show_curves(section: Section) -> None:
+    """The learning curves of the section's runs, as far as they have come."""
+    window, facts = section.curve_window, section.facts
+    if section.episodes.empty or section.episodes.episode.max() < window:
+        show_text(f"*No run has played the {window} games that a learning curve begins with.*")
+        return
+    show_figure(
+        plots.learning_curves(section.episodes, facts, window),
+        label=f"fig-{section.params.game}-curves",
+        caption=f"{facts.title}: raw score while training, with exploration; each point is the "
+        f"mean of the last {window} games ({section.counted()}).",
+        alt=f"Learning curves of the agents in {facts.title}: mean score against games played.",
+    )
+
+
 def show_marks(section: Section) -> None:
     """The mean score of the last games at each mark that a run has reached."""
-    if section.episodes.empty:
-        return
     step = section.params.episodes / len(MARKS)
     marks = tuple(dict.fromkeys(round(step * (index + 1)) for index in range(len(MARKS))))
-    table = scores_at_marks(section.episodes, marks, section.window).reset_index()
+    if section.episodes.empty or section.episodes.episode.max() < marks[0]:
+        show_text(f"*No run has reached the first mark, {marks[0]} games.*")
+        return
+    table = scores_at_marks(section.episodes, marks, section.mark_window).reset_index()
     table["agent"] = table.agent.map(runs.title)
     show_table(
         table,
         label=f"tbl-{section.params.game}-marks",
-        caption=f"{section.facts.title}: mean raw score of the {section.window} games up to each "
+        caption=f"{section.facts.title}: mean raw score of {section.mark_window} games up to each "
         f"number of games played ({section.counted()}). Human {section.facts.human:g}, random "
         f"play {section.facts.random:g} [@dqnzoo2020].",
     )
 
 
 def show_evaluations(section: Section) -> None:
-    """Mean evaluation score of every run, with its interval over the games played."""
+    """The evaluation games of every finished run, with an interval over the games played."""
     if section.evaluations.empty:
+        show_text("*No run is finished, so none has been evaluated.*")
         return
+    games = section.evaluations.groupby(["agent", "seed"]).size().min()
+    show_figure(
+        plots.score_distributions(section.evaluations),
+        label=f"fig-{section.params.game}-evaluation",
+        caption=f"{section.facts.title}: scores of the evaluation games ({games} games a run; "
+        f"{section.params.evaluation_epsilon:.1%} of the actions are random).",
+        alt=f"Box plots of each agent's evaluation scores in {section.facts.title}.",
+    )
     rows = []
     for (agent, seed), games in section.evaluations.groupby(["agent", "seed"], sort=False):
         row = {
