@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from atari_dqn import replay
 from atari_dqn.replay import PIXELS, FrameCodec, ReplayMemory
 
 
@@ -153,3 +154,13 @@ def test_compression_loses_nothing_even_of_noise(seed):
     codec = FrameCodec(rng.integers(256, size=PIXELS, dtype=np.uint8).tobytes())
     image = rng.integers(256, size=PIXELS, dtype=np.uint8)
     assert codec.decompress(codec.compress(image)) == image.tobytes()
+
+
+def test_segments_are_dropped_when_their_images_are_overwritten(monkeypatch):
+    monkeypatch.setattr(replay, "SEGMENT", 3000)  # some dozens of images
+    memory = ReplayMemory(80, 2, 4, np.random.SeedSequence(0))
+    for number in range(20):
+        fill(memory, NaiveMemory(40, 4), [5], 40, np.random.default_rng(number))
+        held = sum(len(segment) for segment in memory.frames.segments.values())
+        assert held <= memory.frames.size.sum() + 2 * 3000
+        assert sum(memory.frames.held.values()) == len(memory)

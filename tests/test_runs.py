@@ -229,7 +229,7 @@ def test_a_killed_run_continues_as_if_nothing_had_happened(tmp_path, small, how,
     process.send_signal(how)
     process.wait()
     assert run.state() == "interrupted"
-    assert len(checkpoints.load(run.state_folder)["trainer"]["memory"]["frames"]) > 0
+    assert len(checkpoints.load(run.state_folder)["trainer"]["memory"]["frames"]["sizes"]) > 0
     recording.train(run)
     monkeypatch.setenv("ATARI_DQN_STATE", str(tmp_path / "elsewhere"))
     whole = Run(params.load(path), tmp_path / "whole")

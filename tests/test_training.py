@@ -11,6 +11,8 @@ from atari_dqn.training import Trainer
 
 def flat(state, name=""):
     """A nested state as {path: bytes or value}, comparable with ==."""
+    if name.endswith(".pieces"):
+        return {name: b"".join(state)}  # where a segment ends does not matter
     if isinstance(state, dict):
         return {k: v for key in state for k, v in flat(state[key], f"{name}.{key}").items()}
     if isinstance(state, list | tuple):
@@ -41,7 +43,7 @@ def test_the_same_seed_gives_the_same_run_and_another_seed_another(small, agent,
 
 # Before learning begins, in the middle of games, right after a target update, and after the ring
 # of 40 rows has wrapped.
-@pytest.mark.parametrize("stop", [3, 33, 57, 100])
+@pytest.mark.parametrize("stop", [3, 33, 57, 100, 130])
 @pytest.mark.parametrize("agent", ["dqn", "dueling_double_dqn"])
 def test_a_resumed_run_is_bit_for_bit_the_one_that_was_never_stopped(small, tmp_path, stop, agent):
     parameters = small(replay_capacity=80, sticky_actions=0.25, epsilon_start=0.3)

@@ -22,6 +22,7 @@ import zstandard
 from atari_dqn.envs import SIZE, interleave
 
 PIXELS = SIZE * SIZE
+SEGMENT = 40 << 20  # bytes
 
 
 @dataclass(frozen=True)
@@ -55,8 +56,73 @@ class FrameCodec:
         ).compress
         self._decompress = zstandard.ZstdDecompressor(dict_data=dictionary).decompress
 
-    def decompress(self, data: bytes) -> bytes:
+    def decompress(self, data: bytes | memoryview) -> bytes:
         return self._decompress(data, max_output_size=PIXELS)
+
+
+class FrameStore:
+    """Compressed images by slot, in a few large segments that are filled one after the other.
+
+    A million small blocks of memory would leave no room between them for a batch's large ones, and
+    the process would grow and grow. Slots are written in the order of the ring, so that segments
+    empty, and are dropped, in the order in which they were filled.
+    """
+
+    def __init__(self, slots: int):
+        self.segment = np.zeros(slots, np.int32)  # number of the segment that holds a slot's image
+        self.start = np.zeros(slots, np.int32)  # its place there
+        self.size = np.zeros(slots, np.int32)  # 0: nothing was written yet
+        self.segments: dict[int, bytes | bytearray] = {}
+        self.held: dict[int, int] = {}  # images a segment holds
+        self.newest, self.end = -1, SEGMENT
+
+    def __setitem__(self, slot: int, data: bytes) -> None:
+        if self.size[slot]:
+            self._forget(int(self.segment[slot]))
+        if self.end + len(data) > SEGMENT:
+            self.newest, self.end = self.newest + 1, 0
+            self.segments[self.newest], self.held[self.newest] = bytearray(SEGMENT), 0
+        self.segments[self.newest][self.end : self.end + len(data)] = data
+        self.segment[slot], self.start[slot], self.size[slot] = self.newest, self.end, len(data)
+        self.held[self.newest] += 1
+        self.end += len(data)
+
+    def _forget(self, segment: int) -> None:
+        self.held[segment] -= 1
+        if self.held[segment] == 0 and segment != self.newest:
+            del self.segments[segment], self.held[segment]
+
+    def read(self, slots: np.ndarray) -> list[memoryview]:
+        """The compressed images of slots [N]."""
+        views = {number: memoryview(data) for number, data in self.segments.items()}
+        places = (self.segment[slots], self.start[slots], self.start[slots] + self.size[slots])
+        return [
+            views[segment][start:end]
+            for segment, start, end in zip(*(place.tolist() for place in places), strict=True)
+        ]
+
+    def get_state(self, oldest_first: np.ndarray) -> dict[str, Any]:
+        """The images of the given slots, in the order in which they were written."""
+        pieces = []
+        segments = self.segment[oldest_first]
+        for number in np.unique(segments).tolist():
+            slots = oldest_first[segments == number]
+            start, last = int(self.start[slots[0]]), int(slots[-1])
+            end = int(self.start[last] + self.size[last])
+            pieces.append(bytes(memoryview(self.segments[number])[start:end]))
+        return {"pieces": pieces, "sizes": self.size[oldest_first]}
+
+    def set_state(self, state: dict[str, Any], oldest_first: np.ndarray) -> None:
+        """Restores what `get_state` returned, into an empty store: a piece becomes a segment."""
+        self.size[oldest_first] = state["sizes"]
+        ends = np.cumsum(state["sizes"], dtype=np.int64)
+        starts = ends - state["sizes"]
+        begins = np.cumsum([0, *(len(piece) for piece in state["pieces"])])
+        number = np.searchsorted(begins, starts, side="right") - 1
+        self.segment[oldest_first], self.start[oldest_first] = number, starts - begins[number]
+        self.segments = dict(enumerate(state["pieces"]))
+        self.held = dict(enumerate(np.bincount(number, minlength=len(self.segments)).tolist()))
+        self.newest, self.end = len(self.segments) - 1, SEGMENT  # the next write begins another
 
 
 class ReplayMemory:
@@ -69,7 +135,7 @@ class ReplayMemory:
         self.rows, self.streams, self.stack = capacity // streams, streams, stack
         self.rng = np.random.default_rng(seed)
         self.codec: FrameCodec | None = None
-        self.frames: list[bytes] = []  # [rows * streams], grows until the ring is full
+        self.frames = FrameStore(self.rows * streams)
         shape = (self.rows, streams)
         self.ages = np.zeros(shape, np.int32)
         self.actions = np.zeros(shape, np.uint8)
@@ -79,7 +145,8 @@ class ReplayMemory:
         self.full = False
 
     def __len__(self) -> int:
-        return len(self.frames)
+        """Slots written so far."""
+        return (self.rows if self.full else self.row) * self.streams
 
     def append(
         self,
@@ -92,9 +159,8 @@ class ReplayMemory:
         """Writes one slot a stream: images uint8 [streams, 84*84], the rest [streams]."""
         if self.codec is None:
             self.codec = FrameCodec(images[0].tobytes())
-        compressed = [self.codec.compress(image) for image in images]
-        at = self.row * self.streams
-        self.frames[at : at + self.streams] = compressed
+        for stream, image in enumerate(images):
+            self.frames[self.row * self.streams + stream] = self.codec.compress(image)
         self.ages[self.row] = ages
         self.actions[self.row] = actions
         self.rewards[self.row] = rewards
@@ -138,8 +204,8 @@ class ReplayMemory:
     def _images(self, slots: np.ndarray) -> np.ndarray:
         """Slots [K, N] to images uint8 [K, N, 84*84]."""
         assert self.codec is not None
-        frames, decompress = self.frames, self.codec.decompress
-        raw = b"".join([decompress(frames[slot]) for slot in slots.reshape(-1).tolist()])
+        decompress = self.codec.decompress
+        raw = b"".join([decompress(data) for data in self.frames.read(slots.reshape(-1))])
         return np.frombuffer(raw, np.uint8).reshape(*slots.shape, PIXELS)
 
     def get_state(self) -> dict[str, Any]:
@@ -154,7 +220,7 @@ class ReplayMemory:
             "full": self.full,
             "rng": self.rng.bit_generator.state,
             "first_image": self.codec.first_image if self.codec else b"",
-            "frames": self.frames,
+            "frames": self.frames.get_state(self._oldest_first()),
         }
 
     def set_state(self, state: dict[str, Any]) -> None:
@@ -165,4 +231,10 @@ class ReplayMemory:
         self.row, self.full = state["row"], state["full"]
         self.rng.bit_generator.state = state["rng"]
         self.codec = FrameCodec(state["first_image"]) if state["first_image"] else None
-        self.frames = list(state["frames"])
+        self.frames = FrameStore(self.rows * self.streams)
+        self.frames.set_state(state["frames"], self._oldest_first())
+
+    def _oldest_first(self) -> np.ndarray:
+        """All slots that are written, in the order of writing."""
+        written = np.arange(len(self))
+        return np.roll(written, -self.row * self.streams) if self.full else written
