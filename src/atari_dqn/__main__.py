@@ -7,7 +7,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
+import pandas as pd
 import typer
+from tabulate import tabulate
 
 from atari_dqn import experiments, params, recording, report, runs
 from atari_dqn.checkpoints import CheckpointError
@@ -101,7 +103,20 @@ def evaluate(
 def status(names: Names = None, results: Results = None, profile: Profile = "full") -> None:
     """Show every run: complete, running, interrupted, failed, missing or stale."""
     table = experiments.status(experiments.planned(profile, names or [], results))
-    print(table.to_string(index=False, na_rep="-"))
+    shown = pd.DataFrame(
+        {
+            "experiment": table.experiment,
+            "agent": table.agent,
+            "seed": table.seed,
+            "state": table.state,
+            "games": table.games.astype(str) + "/" + table.episodes.astype(str),
+            "score": table.score.round(1),
+            "hours left": table.hours_left.round(1),
+        }
+    )
+    shown = shown.astype(object).where(shown.notna(), None)
+    print(tabulate(shown, headers="keys", showindex=False, missingval="-", disable_numparse=[4]))
+    print(experiments.summary(table))
 
 
 @experiments_app.command()
@@ -113,15 +128,21 @@ def run(
         int | None, typer.Option(min=1, help="Runs at once; by default one a core.")
     ] = None,
     scheduler: Annotated[
-        str | None, typer.Option(help="Address of a Dask scheduler: not available yet.")
+        str | None,
+        typer.Option(metavar="tcp://HOST:PORT", help="Train on this Dask scheduler's workers."),
     ] = None,
 ) -> None:
     """Train what is missing or interrupted, several runs at once."""
-    if scheduler is not None:
-        raise ParameterError(f"--scheduler {scheduler!r}: clusters are not supported yet")
+    if scheduler is not None and workers is not None:
+        raise ParameterError("--workers: a cluster has its own; leave it out with --scheduler")
     wanted = experiments.planned(profile, names or [], results)
     with _interruptible():
-        failures = experiments.train_all(wanted, workers)
+        if scheduler is None:
+            failures = experiments.train_all(wanted, workers)
+        else:
+            from atari_dqn import cluster  # Dask takes a second to import
+
+            failures = cluster.train_all(wanted, scheduler)
     if failures:
         raise RunError("\n".join(failures))
 

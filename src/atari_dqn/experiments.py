@@ -5,12 +5,12 @@ import os
 import signal
 import sys
 import traceback
-from collections import deque
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnContext
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 from tqdm import tqdm
 
@@ -19,7 +19,13 @@ from atari_dqn.params import ParameterError
 from atari_dqn.runs import Run, RunError
 
 # The order of training and of the report; experiments that are not listed come last.
-ORDER = ("boxing_final", "breakout_final")
+ORDER = (
+    *("boxing_final", "breakout_final", "boxing_expert"),
+    *("boxing_transfer", "boxing_low_gamma", "boxing_high_gamma", "boxing_sensitivity"),
+    *("breakout_late", "boxing_early", "breakout_early", "boxing_transfer_controls"),
+)
+WAITING = "waiting"  # what `status` says of a run whose source is not complete
+PACE_GAMES = 100  # of the last games, by which the time left is told
 
 
 def files(profile: str) -> list[Path]:
@@ -50,31 +56,86 @@ def planned(profile: str, names: list[str], results: Path | None) -> list[Run]:
 
 
 def status(wanted: list[Run]) -> pd.DataFrame:
-    """One row a run: experiment, agent, seed, state, games done and wanted, recent mean score."""
+    """One row a run: experiment (and variation), agent, seed, state, games (done), episodes
+    (wanted), score (mean of the last 100 games), hours_left (of one core, at the pace of the last
+    100 games; of a run that has none, at the mean pace of the game's other runs; else nan)."""
     rows = []
     for run in wanted:
-        state = run.state()
+        state, source = run.state(), run.waits_for()
         episodes = runs.read_table([run], "episodes.csv")
+        recent = episodes.tail(PACE_GAMES)
         rows.append(
             {
-                "experiment": run.params.experiment,
+                "experiment": _title(run),
                 "agent": run.agent,
                 "seed": run.seed,
-                "state": state,
-                "games": f"{len(episodes)}/{run.params.episodes}",
-                "score": round(episodes.score.tail(100).mean(), 1) if len(episodes) else None,
+                "state": state if source is None else f"{WAITING} for {source.params.experiment}",
+                "games": len(episodes),
+                "episodes": run.params.episodes,
+                "score": recent.score.mean() if len(episodes) else np.nan,
+                "game": run.params.game,
+                "pace": _pace(run),
             }
         )
-    return pd.DataFrame(rows)
+    table = pd.DataFrame(rows)
+    pace = table.pace.fillna(table.groupby("game").pace.transform("mean"))
+    table["hours_left"] = (table.episodes - table.games).clip(lower=0) * pace / 3600
+    table.loc[table.state == runs.COMPLETE, "hours_left"] = 0.0
+    return table.drop(columns=["game", "pace"])
+
+
+def _title(run: Run) -> str:
+    experiment = run.params.experiment.partition("+")[0]
+    return f"{experiment}: {run.variation}" if run.variation else experiment
+
+
+def _pace(run: Run) -> float:
+    """Seconds a game took of late; nan if too few have been played to tell."""
+    timing = runs.read_table([run], "timing.csv").tail(PACE_GAMES + 1)
+    if len(timing) < 2:
+        return np.nan
+    return (timing.seconds.iloc[-1] - timing.seconds.iloc[0]) / (len(timing) - 1)
+
+
+def summary(table: pd.DataFrame) -> str:
+    """The totals of a `status` table in one line."""
+    states = table.state.str.split().str[0].value_counts()  # "waiting for ..." is one
+    done, all_games = table[["games", "episodes"]].min(axis=1).sum(), table.episodes.sum()
+    hours, unknown = table.hours_left.sum(), table.hours_left.isna().sum()
+    left = f"{hours:,.1f} core-hours left"
+    if unknown:
+        left += f", and {unknown} runs whose pace is not known yet"
+    listed = ", ".join(f"{count} {state}" for state, count in states.items())
+    share = f"{done:,} of {all_games:,} games ({done / all_games:.0%})"
+    return f"{len(table)} runs: {listed}; {share}; about {left}"
+
+
+def take_ready(pending: list[Run]) -> Run | None:
+    """Takes the first run out of `pending` that waits for no other."""
+    for run in pending:
+        if run.waits_for() is None:
+            pending.remove(run)
+            return run
+    return None
+
+
+def left_waiting(pending: list[Run]) -> list[str]:
+    """A line for each run that could not be started."""
+    return [
+        f"{run.name} waits for {source.name}, which is {source.state()}"
+        for run in pending
+        if (source := run.waits_for())
+    ]
 
 
 def train_all(wanted: list[Run], workers: int | None = None) -> list[str]:
     """Trains every run that is not complete, one process a core, in the order given.
 
-    One failing run does not stop the others; returns a line for each that failed. Ctrl-C and
-    SIGTERM leave every run resumable and raise KeyboardInterrupt.
+    A run that starts from another's model waits for it. One failing run does not stop the others;
+    returns a line for each that failed or had to wait in vain. Ctrl-C and SIGTERM leave every run
+    resumable and raise KeyboardInterrupt.
     """
-    pending = deque(run for run in wanted if run.state() != runs.COMPLETE)
+    pending = [run for run in wanted if run.state() != runs.COMPLETE]
     context = multiprocessing.get_context("spawn")
     bar_lock = context.RLock()
     active: dict[int, _Worker] = {}
@@ -86,10 +147,12 @@ def train_all(wanted: list[Run], workers: int | None = None) -> list[str]:
 
     before = signal.signal(signal.SIGTERM, stop)
     try:
-        while pending or active:
-            while pending and places:
-                worker = _Worker(context, pending.popleft(), places.pop(0), bar_lock)
+        while True:
+            while places and (run := take_ready(pending)):
+                worker = _Worker(context, run, places.pop(0), bar_lock)
                 active[worker.process.sentinel] = worker
+            if not active:
+                break
             for sentinel in wait(list(active)):
                 worker = active.pop(sentinel)
                 places.append(worker.place)
@@ -102,7 +165,7 @@ def train_all(wanted: list[Run], workers: int | None = None) -> list[str]:
         raise
     finally:
         signal.signal(signal.SIGTERM, before)
-    return failures
+    return failures + left_waiting(pending)
 
 
 class _Worker:

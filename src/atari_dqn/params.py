@@ -230,11 +230,16 @@ def _yaml_message(error: Exception) -> str:
 def load(path: Path | str, overrides: dict[str, Any] | None = None) -> Parameters:
     """Parameters from a file, named after it, with `overrides` put on top.
 
-    An override that changes anything but which agents and seeds are run moves the experiment to a
-    name of its own, `<experiment>+<hash8>`: what the file describes is never touched.
+    A file in a folder `quick` or `smoke` says how it differs from the file of the same name in
+    the folder above. An override that changes anything but which agents and seeds are run moves
+    the experiment to a name of its own, `<experiment>+<hash8>`: what the file describes is never
+    touched.
     """
     path = Path(path)
     values = read_values(path)
+    full = path.parent.parent / path.name
+    if path.parent.name in PROFILES and full.exists():
+        values = {**read_values(full), **values}
     named = values.setdefault("experiment", path.stem)
     if named != path.stem:
         raise ParameterError(

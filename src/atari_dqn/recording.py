@@ -1,5 +1,6 @@
 """Training a run: playing and learning until the last game, and writing all of it down."""
 
+import hashlib
 import json
 import os
 import platform
@@ -48,11 +49,12 @@ LOGS = {
 }
 
 
-def train(run: Run, position: int = 0) -> str:
+def train(run: Run, position: int = 0, asked_to_stop: Callable[[], bool] | None = None) -> str:
     """Trains a run to its end, resuming it if it was interrupted; returns what happened.
 
-    SIGTERM and Ctrl-C save a checkpoint, leave the run `interrupted` and raise KeyboardInterrupt.
-    `position` is the progress bar's line. Raises RunError if the stored run does not match.
+    SIGTERM and Ctrl-C (outside the main thread, where no signal arrives: `asked_to_stop`) save a
+    checkpoint, leave the run `interrupted` and raise KeyboardInterrupt. `position` is the progress
+    bar's line. Raises RunError if the stored run does not match.
     """
     prepare_process()
     with run.lock():
@@ -68,7 +70,8 @@ def train(run: Run, position: int = 0) -> str:
         if recorder.episodes:
             tqdm.write(f"{run.name} continues after {recorder.episodes} games")
         try:
-            with _stop_signals() as stopped:
+            with _stop_signals() as signalled:
+                stopped = asked_to_stop or signalled
                 _play_and_learn(recorder, stopped, position)
                 recorder.finish(stopped)
         except KeyboardInterrupt:
@@ -117,12 +120,13 @@ class Recorder:
 
     def __init__(self, run: Run):
         self.run = run
-        self.trainer = Trainer(run.params, run.agent, run.seed, run.initial_weights())
+        saved = checkpoints.load(run.state_folder)
+        initial = run.initial_weights() if saved is None else None
+        self.trainer = Trainer(run.params, run.agent, run.seed, initial)
         self.episodes, self.seconds = 0, 0.0
         self.scores: list[float] = []
         self.snapshots: dict[str, bytes] = {}
         self.sessions: list[dict[str, Any]] = []
-        saved = checkpoints.load(run.state_folder)
         if saved is None:
             self._refuse_to_overwrite()
             written = {name: ",".join(header) + "\n" for name, header in LOGS.items()}
@@ -144,6 +148,9 @@ class Recorder:
         self.saved_at = self.shown_at = self.seconds
         self.shown_steps = self.trainer.agent_steps
         self.sessions.append(_session(self.episodes + 1))
+        if initial is not None:
+            model = (run.source().folder / "model.safetensors").read_bytes()
+            self.sessions[-1]["initial_weights"] = hashlib.sha256(model).hexdigest()
         self._compare_sessions()
         self.write_provenance()
         self.write_status(RUNNING)

@@ -66,6 +66,7 @@ class Run:
 
     params: Parameters
     results: Path
+    variation: str = ""  # its label among its experiment's variations, if it is one
 
     @property
     def agent(self) -> str:
@@ -104,21 +105,29 @@ class Run:
         return status["state"]
 
     def source(self) -> "Run | None":
-        """The run whose model this one starts from, if any."""
+        """The run whose model this one starts from, if any; as it is stored, if it is."""
         if not self.params.initial_weights:
             return None
-        like = {"experiment": self.params.initial_weights}
-        return Run(self.params.model_copy(update=like), self.results)
+        like = self.params.model_copy(update={"experiment": self.params.initial_weights})
+        path = Run(like, self.results).folder / "params.yaml"
+        stored = params.parse(params.read_values(path), str(path)) if path.exists() else like
+        return Run(stored, self.results)
+
+    def waits_for(self) -> "Run | None":
+        """The run that must be complete before this one can start, if it is not."""
+        source = self.source()
+        if source is None or source.state() == COMPLETE or self.state() != MISSING:
+            return None
+        return source
 
     def initial_weights(self) -> dict[str, torch.Tensor] | None:
         """The weights that this run starts from; raises RunError if they are not there yet."""
         source = self.source()
         if source is None:
             return None
-        path = source.folder / "model.safetensors"
-        if not path.exists():
-            raise RunError(f"{self.name} starts from {source.name}, which is not finished yet")
-        return evaluation.read_model(path)
+        if source.state() != COMPLETE:
+            raise RunError(f"{self.name} starts from {source.name}, which is {source.state()}")
+        return evaluation.read_model(source.folder / "model.safetensors")
 
     def status(self) -> dict[str, Any]:
         return json.loads((self.folder / "status.json").read_bytes())
@@ -167,8 +176,8 @@ class Run:
 def runs_of(parameters: Parameters, results: Path) -> list[Run]:
     """A run for every variation, seed and agent of an experiment."""
     return [
-        Run(params.pick(variant, agent, seed), results)
-        for variant in params.variants(parameters).values()
+        Run(params.pick(variant, agent, seed), results, label if parameters.variations else "")
+        for label, variant in params.variants(parameters).items()
         for seed in parameters.seeds
         for agent in parameters.agents
     ]

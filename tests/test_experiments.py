@@ -1,0 +1,208 @@
+"""The runner: what it says of the runs that an experiment needs, and how it trains them."""
+
+import hashlib
+import json
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+from contextlib import suppress
+
+import pandas as pd
+import pytest
+from filelock import FileLock, Timeout
+
+from atari_dqn import checkpoints, cluster, experiments, params, recording
+from atari_dqn.runs import Run, RunError
+
+
+@pytest.fixture
+def transfer(small):
+    """A run that needs another's finished model."""
+    return small(experiment="transfer", game="breakout", initial_weights="small", episodes=1)
+
+
+def states(wanted):
+    return experiments.status(wanted).state.tolist()
+
+
+def test_status_tells_what_is_done_what_waits_and_how_long_it_will_take(tmp_path, small, transfer):
+    wanted = [Run(small(seeds=[seed]), tmp_path) for seed in (1, 2)] + [Run(transfer, tmp_path)]
+    assert states(wanted) == ["missing", "missing", "waiting for small"]
+    assert "0 of 7 games (0%)" in experiments.summary(experiments.status(wanted))
+    assert "3 runs whose pace is not known yet" in experiments.summary(experiments.status(wanted))
+    recording.train(wanted[0])
+    table = experiments.status(wanted)
+    assert table.state.tolist() == ["complete", "missing", "missing"]
+    assert table.games.tolist() == [3, 0, 0]
+    assert table.score[0] == pd.read_csv(wanted[0].folder / "episodes.csv").score.mean()
+    seconds = pd.read_csv(wanted[0].folder / "timing.csv").seconds
+    pace = (seconds.iloc[-1] - seconds.iloc[0]) / 2
+    assert table.hours_left[0] == 0
+    assert table.hours_left[1] == pytest.approx(3 * pace / 3600), "of another run of the game"
+    assert pd.isna(table.hours_left[2]), "no other run of Breakout"
+    assert experiments.summary(table).startswith("3 runs: 2 missing, 1 complete; 3 of 7 games")
+
+
+def test_variations_are_runs_of_their_own_with_their_labels(tmp_path, small):
+    varied = small(variations={"short sight": {"gamma": 0.5}, "big": {"batch_size": 8}})
+    path = tmp_path / "small.yaml"
+    params.dump(varied, path)
+    wanted = experiments.runs.runs_of(params.load(path), tmp_path)
+    assert [run.variation for run in wanted] == ["short sight", "big"]
+    assert [(run.params.gamma, run.params.batch_size) for run in wanted] == [(0.5, 4), (0.99, 8)]
+    assert len({run.folder for run in wanted}) == 2
+    assert experiments.status(wanted).experiment.tolist() == ["small: short sight", "small: big"]
+
+
+def test_a_run_that_needs_anothers_model_is_trained_after_it(tmp_path, small, transfer):
+    wanted = [Run(transfer, tmp_path), Run(small(), tmp_path)]  # listed before its source
+    assert experiments.train_all(wanted, workers=2) == []
+    assert states(wanted) == ["complete", "complete"]
+    provenance = json.loads((wanted[0].folder / "provenance.json").read_text())
+    model = (wanted[1].folder / "model.safetensors").read_bytes()
+    assert provenance["sessions"][0]["initial_weights"] == hashlib.sha256(model).hexdigest()
+
+
+def test_a_run_whose_source_is_not_trained_is_named_at_the_end(tmp_path, transfer):
+    (line,) = experiments.train_all([Run(transfer, tmp_path)])
+    assert line == (
+        "transfer/double_dqn/seed-1 waits for small/double_dqn/seed-1, which is missing"
+    )
+
+
+def test_a_failing_run_does_not_stop_the_others_and_its_error_is_told(tmp_path, small):
+    damaged, other = Run(small(), tmp_path), Run(small(seeds=[2]), tmp_path)
+    recording.train(Run(small(episodes=1), tmp_path))
+    for path in damaged.state_folder.glob("checkpoint-*"):
+        shutil.rmtree(path)
+    (line,) = experiments.train_all([damaged, other], workers=1)
+    assert line.startswith(f"{damaged.folder} holds 1 games, but their checkpoint is not in")
+    assert other.state() == "complete"
+
+
+@pytest.fixture
+def project(tmp_path, small):
+    """A project folder with one experiment of two agents, long enough to be interrupted."""
+    (tmp_path / "params").mkdir()
+    (tmp_path / "pyproject.toml").touch()
+    plan(tmp_path, small(profile="full", agents=["dqn", "double_dqn"], episodes=30))
+    return tmp_path
+
+
+def plan(project, parameters):
+    params.dump(parameters, project / "params" / "small.yaml")
+
+
+def runner(project, *options):
+    """`experiments run` in a process of its own."""
+    command = [sys.executable, "-m", "atari_dqn", "experiments", "run", *map(str, options)]
+    return subprocess.Popen(command, cwd=project, stderr=subprocess.PIPE, text=True)
+
+
+def wait_until(condition, process=None, seconds=90):
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline, "waited in vain"
+        assert process is None or process.poll() is None, process.stderr.read()
+        time.sleep(0.1)
+
+
+def lockable(run):
+    with suppress(Timeout), FileLock(run.state_folder / ".lock", timeout=0):
+        return True
+    return False
+
+
+def planned(project):
+    parameters = params.load(project / "params" / "small.yaml")
+    return experiments.runs.runs_of(parameters, project / "results")
+
+
+def test_ctrl_c_leaves_all_runs_resumable_and_the_same_command_ends_them(project):
+    wanted = planned(project)
+    process = runner(project)
+    wait_until(lambda: experiments.status(wanted).games.min() >= 2, process)
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert "interrupted; the same command continues" in errors
+    assert states(wanted) == ["interrupted", "interrupted"]
+    again = runner(project)
+    again.communicate(timeout=120)
+    assert again.returncode == 0
+    assert states(wanted) == ["complete", "complete"]
+
+
+def test_two_runners_do_not_train_the_same_run_twice(project):
+    wanted = planned(project)
+    first = runner(project)
+    wait_until(lambda: states(wanted) == ["running", "running"], first)
+    second = runner(project)
+    _, errors = second.communicate(timeout=60)
+    assert second.returncode == 1
+    assert errors.count("is being trained by another process") == 2
+    first.communicate(timeout=120)
+    assert states(wanted) == ["complete", "complete"]
+
+
+@pytest.fixture
+def dask(project):
+    """A scheduler and two workers that share a state folder: real processes on loopback."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        address = f"tcp://127.0.0.1:{free.getsockname()[1]}"
+    port = address.rpartition(":")[2]
+    quiet = {"cwd": project, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    start = [sys.executable, "-m", "dask"]
+    processes = [
+        subprocess.Popen(
+            [*start, "scheduler", "--host", "127.0.0.1", "--port", port, "--no-dashboard"], **quiet
+        )
+    ]
+    for _ in range(2):
+        worker = [*start, "worker", address, "--nthreads", "1", "--no-nanny", "--no-dashboard"]
+        processes.append(subprocess.Popen(worker, **quiet))
+    yield address, processes[1:]
+    for process in processes:
+        process.kill()
+        process.wait()
+
+
+def test_cluster_runs_survive_ctrl_c_and_a_killed_worker(project, dask, small, monkeypatch):
+    address, workers = dask
+    plan(project, small(profile="full", agents=["dqn", "double_dqn"], episodes=100))
+    wanted = planned(project)
+    process = runner(project, "--scheduler", address)
+    wait_until(lambda: all(checkpoints.load(run.state_folder) for run in wanted), process)
+    process.send_signal(signal.SIGINT)
+    process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert states(wanted) == ["missing", "missing"], "results come back when they are whole"
+    saved = [checkpoints.load(run.state_folder)["episodes"] for run in wanted]
+    assert all(0 < games < 100 for games in saved), saved
+
+    process = runner(project, "--scheduler", address)
+    wait_until(lambda: not any(map(lockable, wanted)), process)  # each worker trains one
+    workers[0].kill()
+    process.communicate(timeout=240)
+    assert process.returncode == 0
+    assert states(wanted) == ["complete", "complete"]
+    for run, games in zip(wanted, saved, strict=True):
+        provenance = json.loads((run.folder / "provenance.json").read_text())
+        assert [stretch["first_episode"] for stretch in provenance["sessions"]] == [1, games + 1]
+
+    monkeypatch.setenv("ATARI_DQN_STATE", str(project / "elsewhere"))
+    for run in wanted:
+        here = Run(run.params, project / "here")
+        recording.train(here)
+        for name in ("episodes.csv", "evaluations.csv", "model.safetensors"):
+            assert (run.folder / name).read_bytes() == (here.folder / name).read_bytes()
+
+
+def test_a_scheduler_that_does_not_answer_is_a_clear_error(tmp_path, small, monkeypatch):
+    monkeypatch.setattr(cluster, "CONNECT_SECONDS", 1)
+    with pytest.raises(RunError, match=r"no Dask scheduler answers"):
+        cluster.train_all([Run(small(), tmp_path)], "tcp://127.0.0.1:9")
