@@ -139,7 +139,7 @@ class Recorder:
         self.files = {}
         for name in LOGS:  # what was logged after the checkpoint will be logged again
             path = run.folder / name
-            path.write_text(written[name], encoding="utf-8")
+            write_atomically(path, written[name].encode())
             self.files[name] = path.open("a", encoding="utf-8")
         for name, data in self.snapshots.items():
             self._write_snapshot(name, data)
