@@ -3,6 +3,7 @@
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 PROFILE ?= full
 RESULTS ?=
+SCHEDULER ?=
 TORCH_INDEX ?=
 
 VENV := .venv
@@ -20,6 +21,7 @@ help: ## list what can be made
 	@echo
 	@echo "  PROFILE=quick       small runs of everything, trained from scratch"
 	@echo "  RESULTS=folder      where results are kept instead of results/"
+	@echo "  SCHEDULER=address   a Dask scheduler to train on (docs/cluster.md)"
 	@echo "  TORCH_INDEX=address the package index to install torch from, such as one of CPU builds"
 
 # torch is not in the lock: its builds for CPUs and GPUs differ in their hashes and dependencies.
@@ -44,7 +46,8 @@ train: $(READY) ## train an experiment: EXPERIMENT=boxing_final, and AGENT=dqn S
 	  $(if $(SEED),--seed $(SEED)) $(RESULTS_OPTION)
 
 experiments: $(READY) ## train every run that is missing or interrupted (hours to days)
-	$(RUN) atari_dqn experiments run --profile $(PROFILE) $(RESULTS_OPTION)
+	$(RUN) atari_dqn experiments run --profile $(PROFILE) $(RESULTS_OPTION) \
+	  $(if $(SCHEDULER),--scheduler $(SCHEDULER))
 
 status: $(READY) ## show every run of every experiment
 	$(RUN) atari_dqn experiments status --profile $(PROFILE) $(RESULTS_OPTION)

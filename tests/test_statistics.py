@@ -2,6 +2,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from scipy import stats
+
+from atari_dqn import statistics
 from atari_dqn.statistics import interval, scores_at_marks, trailing_mean
 
 
@@ -30,3 +33,14 @@ def test_the_interval_covers_the_true_mean_about_as_often_as_it_says():
 def test_one_value_has_no_interval():
     with pytest.raises(ValueError, match="at least two"):
         interval(np.array([1.0]))
+
+
+def test_the_interval_of_a_difference_agrees_with_welchs():
+    rng = np.random.default_rng(1)
+    first, second = rng.normal(3, 2, 400), rng.normal(1, 5, 300)
+    low, high = statistics.difference(first, second)
+    welch = stats.ttest_ind(first, second, equal_var=False).confidence_interval()
+    assert (low, high) == pytest.approx((welch.low, welch.high), abs=0.1)
+    assert statistics.difference(second, first) == pytest.approx((-high, -low), abs=0.1)
+    with pytest.raises(ValueError, match="two values"):
+        statistics.difference(first, second[:1])

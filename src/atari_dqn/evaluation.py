@@ -11,6 +11,7 @@ from pathlib import Path
 import av
 import numpy as np
 import torch
+from safetensors import safe_open
 from safetensors.torch import load_file, save
 from torch import nn
 
@@ -40,10 +41,16 @@ class PlayedGame:
     seed: int
 
 
-def model_bytes(network: nn.Module) -> bytes:
-    """The contents of a model.safetensors: the weights as float16."""
+def model_bytes(network: nn.Module, games: int) -> bytes:
+    """The contents of a model.safetensors: the weights as float16, and the games of training."""
     weights = {name: value.half().contiguous() for name, value in network.state_dict().items()}
-    return save(weights)
+    return save(weights, {"games": str(games)})
+
+
+def trained_games(path: Path) -> int:
+    """The training games behind a model.safetensors."""
+    with safe_open(path, "pt") as file:
+        return int(file.metadata()["games"])
 
 
 def read_model(path: Path) -> dict[str, torch.Tensor]:
@@ -71,7 +78,7 @@ def game_of(params: Parameters) -> AtariGame:
     )
 
 
-class _Table:
+class Table:
     """A game in progress at one emulator."""
 
     def __init__(self, params: Parameters):
@@ -122,7 +129,7 @@ def play(network: nn.Module, params: Parameters, games: int, seed: int) -> Itera
     waiting = iter(range(games))
     tables = []
     for game in waiting:
-        tables.append(_Table(params))
+        tables.append(Table(params))
         tables[-1].start(game, seed)
         if len(tables) == EMULATORS:
             break
@@ -167,7 +174,7 @@ HELD_OUT_STATES, VALUE_GAMES = 512, 4
 
 def held_out_states(params: Parameters) -> np.ndarray:
     """Observations of random play, uint8 [512, 84, 84, stack]: one in eight steps."""
-    table, rng = _Table(params), np.random.default_rng(0)
+    table, rng = Table(params), np.random.default_rng(0)
     game, states = 0, []
     table.start(game, seed=0)
     for step in range(8 * HELD_OUT_STATES):
@@ -185,7 +192,7 @@ def check_values(
 ) -> ValueCheck:
     """Compares predicted values with what then happened (van Hasselt et al., 2016, figure 3)."""
     device = next(network.parameters()).device
-    tables = [_Table(params) for _ in range(VALUE_GAMES)]
+    tables = [Table(params) for _ in range(VALUE_GAMES)]
     for number, table in enumerate(tables):
         table.start(VALUE_GAMES * episode + number, seed)
     predictions: list[list[float]] = [[] for _ in tables]
@@ -219,7 +226,7 @@ def discounted(rewards: list[float], gamma: float) -> np.ndarray:
 
 def film(network: nn.Module, params: Parameters, path: Path, game: int, seed: int) -> PlayedGame:
     """Plays one game as `play` would, and films it: H.264, one picture an agent step."""
-    table = _Table(params)
+    table = Table(params)
     table.start(game, seed)
     epsilon, ended = params.evaluation_epsilon, False
     with av.open(str(path), "w", format="mp4") as container:

@@ -8,11 +8,9 @@ import traceback
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnContext
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
-from tqdm import tqdm
 
 from atari_dqn import params, recording, runs
 from atari_dqn.params import ParameterError
@@ -137,7 +135,6 @@ def train_all(wanted: list[Run], workers: int | None = None) -> list[str]:
     """
     pending = [run for run in wanted if run.state() != runs.COMPLETE]
     context = multiprocessing.get_context("spawn")
-    bar_lock = context.RLock()
     active: dict[int, _Worker] = {}
     places = list(range(workers or os.cpu_count() or 1))  # lines for progress bars
     failures: list[str] = []
@@ -149,7 +146,7 @@ def train_all(wanted: list[Run], workers: int | None = None) -> list[str]:
     try:
         while True:
             while places and (run := take_ready(pending)):
-                worker = _Worker(context, run, places.pop(0), bar_lock)
+                worker = _Worker(context, run, places.pop(0))
                 active[worker.process.sentinel] = worker
             if not active:
                 break
@@ -171,10 +168,10 @@ def train_all(wanted: list[Run], workers: int | None = None) -> list[str]:
 class _Worker:
     """A process that trains one run."""
 
-    def __init__(self, context: SpawnContext, run: Run, place: int, bar_lock: Any):
+    def __init__(self, context: SpawnContext, run: Run, place: int):
         self.run, self.place = run, place
         self.receiver, sender = context.Pipe(duplex=False)
-        self.process = context.Process(target=_train, args=(run, place, bar_lock, sender))
+        self.process = context.Process(target=_train, args=(run, place, sender))
         # Ctrl-C reaches the whole process group: the parent alone acts on it, and tells the others.
         before = signal.signal(signal.SIGINT, signal.SIG_IGN)
         self.process.start()
@@ -194,9 +191,11 @@ class _Worker:
         return [f"{self.run.name}: killed (exit code {self.process.exitcode})"]
 
 
-def _train(run: Run, place: int, bar_lock: Any, sender: Connection) -> None:
-    """What a worker process does."""
-    tqdm.set_lock(bar_lock)
+def _train(run: Run, place: int, sender: Connection) -> None:
+    """What a worker process does.
+
+    The bars of several processes share no lock: one that dies while holding it would stop all.
+    """
     try:
         recording.train(run, place)
     except KeyboardInterrupt:

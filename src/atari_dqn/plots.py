@@ -1,10 +1,13 @@
 """Every figure, in one style: colour-blind safe, told apart by line style too, vector graphics."""
 
+from typing import Any
+
 import matplotlib as mpl
 import numpy as np
 import pandas as pd
 import seaborn as sns
 from matplotlib import pyplot as plt
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from atari_dqn.agents import AGENTS
@@ -35,43 +38,147 @@ def style() -> None:
     )
 
 
-def learning_curves(episodes: pd.DataFrame, facts: GameFacts, window: int) -> Figure:
-    """Mean raw score of the last `window` games against games played.
+def smoothed(episodes: pd.DataFrame, window: int) -> pd.DataFrame:
+    """Adds `mean`, the mean score of the last `window` games; games before the first go.
 
-    Every seed is a thin line and the mean over seeds a bold one. `episodes` holds columns episode,
-    score, agent and seed.
+    `episodes` holds columns episode, score, agent, seed and, of a sweep, variation.
     """
-    curves = episodes.assign(
-        mean=episodes.groupby(["agent", "seed"], sort=False)
-        .score.apply(lambda scores: trailing_mean(scores, window))
-        .to_numpy()
-    ).dropna(subset="mean")
-    figure, axes = plt.subplots()
-    shared = {"x": "episode", "y": "mean", "hue": "agent", "style": "agent"}
-    shared |= {"palette": COLOURS, "dashes": DASHES, "ax": axes}
-    if episodes.seed.nunique() > 1:
-        thin = {"units": "seed", "estimator": None, "lw": 0.6, "alpha": 0.5, "legend": False}
-        sns.lineplot(curves, **thin, **shared)
+    keys = [key for key in ("variation", "agent", "seed") if key in episodes]
+    means = episodes.groupby(keys, sort=False).score.transform(trailing_mean, window)
+    return episodes.assign(mean=means).dropna(subset="mean")
+
+
+def learning_curves(
+    episodes: pd.DataFrame, facts: GameFacts, window: int, published: dict[str, Any]
+) -> tuple[Figure, dict[str, Any]]:
+    """Mean raw score of the last `window` games against games, frames and hours of training.
+
+    Every seed is a line; where there are several, their mean against games is a bold one.
+    `episodes` holds columns episode, frames, seconds, score, agent and seed; `published` (scores
+    by agent at `frames`, million) are marks beside them. Returns the figure and what
+    `hover_values` says of it.
+    """
+    curves = smoothed(episodes, window)
+    curves = curves.assign(frames=curves.frames / 1e6, hours=curves.seconds / 3600)
+    figure, panels = plt.subplot_mosaic(
+        [["games", "games"], ["frames", "hours"]],
+        figsize=(WIDTH, 4.9),
+        gridspec_kw={"height_ratios": [1.5, 1]},
+    )
+    shared = {"y": "mean", "hue": "agent", "style": "agent", "palette": COLOURS, "dashes": DASHES}
+    every = {"units": "seed", "estimator": None, "legend": False}
+    several = episodes.seed.nunique() > 1
+    width, alpha = (0.6, 0.5) if several else (1.4, 1.0)
+    for name, x in (("games", "episode"), ("frames", "frames"), ("hours", "hours")):
+        sns.lineplot(curves, x=x, **shared, **every, lw=width, alpha=alpha, ax=panels[name])
+        _reference_lines(panels[name], facts, named=name == "games")
     reached = curves.groupby(["agent", "seed"]).episode.max().groupby("agent").min()
-    curves = curves[curves.episode <= curves.agent.map(reached)]  # by every seed of the agent
-    sns.lineplot(curves, errorbar=None, lw=1.6, **shared)
+    common = curves[curves.episode <= curves.agent.map(reached)]  # by every seed of the agent
+    games = panels["games"]
+    bold = {"errorbar": None, "lw": 1.6 if several else 0.0}
+    sns.lineplot(common, x="episode", **shared, **bold, ax=games)
+    handles, names = games.get_legend_handles_labels()
+    for handle in handles:
+        handle.set_linewidth(1.6)
+    titles = [AGENTS[name].title for name in names]
+    games.legend(handles, titles, loc="lower left", bbox_to_anchor=(0, 1), ncols=len(titles))
+    games.set(xlabel="games played", ylabel=f"score, mean of {window} games")
+    panels["hours"].set(xlabel="hours of training, one core", ylabel="")
+    _published(panels["frames"], published, float(curves.frames.max()))
+    panels["frames"].set(xlabel="million frames", ylabel="score")
+    means = common.groupby(["agent", "episode"])["mean"].mean()
+    lines = {AGENTS[agent].title: means[agent] for agent in agents_of(curves)}
+    return figure, hover_values(figure, games, lines, "after games:")
+
+
+def agents_of(table: pd.DataFrame) -> list[str]:
+    """The agents in a table, in the order of `AGENTS`."""
+    return [agent for agent in AGENTS if agent in set(table.agent)]
+
+
+def _reference_lines(axes: Axes, facts: GameFacts, named: bool) -> None:
     for score, name in ((facts.human, "human"), (facts.random, "random play")):
         axes.axhline(score, color="0.45", lw=0.8, ls=":")
-        axes.annotate(
-            f"{name} {score:g}",
-            (1, score),
-            xycoords=("axes fraction", "data"),
-            xytext=(-2, 2),
-            textcoords="offset points",
-            ha="right",
-            va="bottom",
-            color="0.35",
-            fontsize="small",
-        )
+        if named:
+            axes.annotate(
+                f"{name} {score:g}",
+                (1, score),
+                xycoords=("axes fraction", "data"),
+                xytext=(-2, 2),
+                textcoords="offset points",
+                ha="right",
+                va="bottom",
+                color="0.35",
+                fontsize="small",
+            )
+
+
+def _published(axes: Axes, published: dict[str, Any], reached: float) -> None:
+    """Marks of other people's agents, as far as the curves reach and a little further."""
+    for marker, (name, scores) in zip("os^", published.items(), strict=False):
+        at = [
+            (frames, score)
+            for frames, score in zip(published["frames"], scores, strict=True)
+            if name != "frames" and score is not None and frames <= max(5.0, 1.3 * reached)
+        ]
+        if at:
+            axes.plot(*zip(*at, strict=True), marker, ms=4, mfc="none", color="0.4", label=name)
+    axes.legend(fontsize="x-small", loc="best", handletextpad=0.2)
+
+
+def hover_values(
+    figure: Figure, axes: Axes, lines: dict[str, pd.Series], x_label: str
+) -> dict[str, Any]:
+    """What the page needs to show values under the pointer: where the axes lie in the figure
+    (shares of its width), their limits, and at most 200 points of every line."""
+    figure.canvas.draw()
+    box, (x_min, x_max) = axes.get_position(), axes.get_xlim()
+    thinned = {name: line.iloc[:: max(1, len(line) // 200)] for name, line in lines.items()}
+    return {
+        "x_label": x_label,
+        "axes": {
+            "left": round(box.x0, 4),
+            "width": round(box.width, 4),
+            "x_min": round(x_min, 4),
+            "x_max": round(x_max, 4),
+        },
+        "curves": [
+            {"name": name, "xs": line.index.tolist(), "ys": line.round(2).tolist()}
+            for name, line in thinned.items()
+            if len(line)
+        ],
+    }
+
+
+def comparison(episodes: pd.DataFrame, facts: GameFacts, window: int, by: str) -> Figure:
+    """Mean score of the last `window` games against games played, a line for each `by`."""
+    curves = smoothed(episodes, window)
+    figure, axes = plt.subplots(figsize=(WIDTH, 3.4))
+    names = list(dict.fromkeys(curves[by]))
+    palette = dict(zip(names, sns.color_palette("colorblind", len(names)), strict=True))
+    shared = {"x": "episode", "y": "mean", "hue": by, "style": by, "palette": palette}
+    sns.lineplot(curves, **shared, errorbar=None, lw=1.4, ax=axes)
+    _reference_lines(axes, facts, named=True)
     axes.set(xlabel="games played", ylabel=f"score, mean of {window} games")
-    handles, names = axes.get_legend_handles_labels()
-    titles = [AGENTS[name].title for name in names]
-    axes.legend(handles, titles, loc="lower left", bbox_to_anchor=(0, 1), ncols=len(titles))
+    sns.move_legend(axes, "lower left", bbox_to_anchor=(0, 1), ncols=3, title=None)
+    return figure
+
+
+def value_errors(values: pd.DataFrame) -> Figure:
+    """Predicted and realised values of the states of greedy games, against training games.
+
+    `values` holds columns episode, predicted, realised and agent (`evaluation.ValueCheck`).
+    """
+    agents = agents_of(values)
+    figure, panels = plt.subplots(1, len(agents), sharey=True, figsize=(WIDTH, 2.3), squeeze=False)
+    for axes, agent in zip(panels[0], agents, strict=True):
+        own = values[values.agent == agent]
+        shared = {"x": "episode", "data": own, "ax": axes, "errorbar": None, "legend": False}
+        sns.lineplot(y="predicted", color=COLOURS[agent], lw=1.5, **shared)
+        sns.lineplot(y="realised", color="0.35", lw=1.2, ls="--", **shared)
+        axes.set(xlabel="games played", ylabel="value of a state")
+        axes.set_title(AGENTS[agent].title, fontsize="medium", loc="left")
+    panels[0][0].legend(["predicted", "realised"], fontsize="small")
     return figure
 
 
@@ -79,7 +186,7 @@ def score_distributions(evaluations: pd.DataFrame) -> Figure:
     """The scores of the evaluation games, one strip and box an agent."""
     figure, axes = plt.subplots(figsize=(WIDTH, 2.4))
     shared = {"data": evaluations, "x": "score", "y": "agent", "hue": "agent", "palette": COLOURS}
-    shared |= {"order": [agent for agent in AGENTS if agent in set(evaluations.agent)], "ax": axes}
+    shared |= {"order": agents_of(evaluations), "ax": axes}
     sns.boxplot(**shared, width=0.5, fliersize=0, boxprops={"alpha": 0.35}, legend=False)
     np.random.seed(0)  # noqa: NPY002 (seaborn draws its jitter from the global generator)
     sns.stripplot(**shared, size=2.5, jitter=0.18, legend=False)

@@ -75,6 +75,8 @@ def train(run: Run, position: int = 0, asked_to_stop: Callable[[], bool] | None 
                 _play_and_learn(recorder, stopped, position)
                 recorder.finish(stopped)
         except KeyboardInterrupt:
+            recorder.publish()
+            recorder.write_provenance()
             recorder.write_status(INTERRUPTED)
             raise
         except Exception as error:
@@ -210,7 +212,7 @@ class Recorder:
 
     def _take_snapshot(self) -> None:
         name = f"games-{self.episodes:05d}.safetensors"
-        self.snapshots[name] = evaluation.model_bytes(self.trainer.learner.online)
+        self.snapshots[name] = evaluation.model_bytes(self.trainer.learner.online, self.episodes)
         self._write_snapshot(name, self.snapshots[name])
 
     def _write_snapshot(self, name: str, data: bytes) -> None:
@@ -252,8 +254,7 @@ class Recorder:
     def finish(self, stopped: Callable[[], bool]) -> None:
         """Publishes the model, plays the final evaluation and marks the run complete."""
         folder, parameters = self.run.folder, self.run.params
-        path = folder / "model.safetensors"
-        write_atomically(path, evaluation.model_bytes(self.trainer.learner.online))
+        path = self.publish()
         (folder / "evaluations.csv").unlink(missing_ok=True)  # an earlier model's
         network = evaluation.load_model(path, parameters)
         played = []
@@ -267,6 +268,12 @@ class Recorder:
         store_evaluation(folder, played)
         self.write_provenance()
         self.write_status(COMPLETE)
+
+    def publish(self) -> Path:
+        """Writes the model as it is now, for anyone to play with."""
+        path = self.run.folder / "model.safetensors"
+        write_atomically(path, evaluation.model_bytes(self.trainer.learner.online, self.episodes))
+        return path
 
     def write_status(self, state: str, **more: Any) -> None:
         status = {

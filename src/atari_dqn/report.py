@@ -4,9 +4,11 @@ typeset. Every part comes from pip packages; nothing is fetched.
 The previous report stays in place until a whole new one has been made.
 """
 
+import multiprocessing
 import os
 import shutil
 import tempfile
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 
 import nbformat
@@ -16,7 +18,7 @@ import typst
 from nbconvert import MarkdownExporter
 from tqdm import tqdm
 
-from atari_dqn import experiments, runs
+from atari_dqn import experiments, freshness, manuscript, runs
 from atari_dqn.runs import RunError
 
 STAMP = {"full": "", "quick": "QUICK RUN, NOT EVIDENCE", "smoke": "SMOKE RUN, NOT EVIDENCE"}
@@ -29,7 +31,8 @@ def build(profile: str, results: Path | None = None) -> Path:
     """Makes the report of a profile and returns its folder.
 
     `full` renders what is stored, and trains nothing; the other profiles first train what is
-    missing of their small runs. Raises RunError if a run or a section fails.
+    missing of their small runs. Sections whose notebook, code, parameters and runs are those of
+    the last time are not executed again. Raises RunError if a run or a section fails.
     """
     folder = runs.results_folder(profile, results)
     if profile != "full":
@@ -37,10 +40,12 @@ def build(profile: str, results: Path | None = None) -> Path:
         if failures:
             raise RunError("; ".join(failures))
     executed = _execute(profile, folder)
+    data = runs.project_root() / "notebooks" / "data"
     with tempfile.TemporaryDirectory() as temporary:
         made = Path(temporary)
         text = "\n\n".join(_section(path, made) for path in executed)
-        text += "\n\n# References {.unnumbered}\n"
+        manuscript.check_completeness(text, data / "completeness.yaml")
+        text = manuscript.finish(text) + "\n\n# References {.unnumbered}\n"
         _typeset(text, STAMP[profile], made)
         target = folder / "report"
         target.mkdir(parents=True, exist_ok=True)
@@ -51,41 +56,68 @@ def build(profile: str, results: Path | None = None) -> Path:
 
 
 def _execute(profile: str, folder: Path) -> list[Path]:
-    """Runs the numbered notebooks into results/notebooks; a failing one leaves no output there."""
-    root = runs.project_root()
+    """Runs the numbered notebooks that are out of date into results/notebooks, one a core.
+
+    A failing one leaves no output there.
+    """
     target = folder / "notebooks"
     target.mkdir(parents=True, exist_ok=True)
-    executed = []
-    for notebook in tqdm(sorted((root / "notebooks").glob("[0-9]*.ipynb")), desc="sections"):
-        partial = target / f".{notebook.name}"
-        try:
-            papermill.execute_notebook(
-                notebook,
-                partial,
-                {"profile": profile, "results_dir": str(folder.resolve())},
-                cwd=str(notebook.parent),
-                kernel_name="python3",
-                progress_bar=False,
-                request_save_on_cell_execute=False,
-                extra_arguments=["--log-level=ERROR"],
-            )
-        except papermill.PapermillExecutionError as error:
-            partial.unlink(missing_ok=True)
-            raise RunError(
-                f"section {notebook.name}, cell {error.cell_index}: {error.ename}: {error.evalue}"
-            ) from None
-        partial.replace(target / notebook.name)
-        executed.append(target / notebook.name)
-    return executed
+    sections = sorted((runs.project_root() / "notebooks").glob("[0-9]*.ipynb"))
+    stale = []
+    for notebook in sections:
+        fresh = freshness.fingerprint(notebook, profile, folder)
+        stamp = target / f"{notebook.stem}.inputs"
+        executed = target / notebook.name
+        if not (executed.exists() and stamp.exists() and stamp.read_text() == fresh):
+            stale.append((notebook, fresh))
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(os.cpu_count(), mp_context=context) as pool:
+        jobs = {
+            pool.submit(_execute_one, notebook, target, profile, folder): (notebook, fresh)
+            for notebook, fresh in stale
+        }
+        for job in tqdm(as_completed(jobs), total=len(jobs), desc="sections"):
+            notebook, fresh = jobs[job]
+            try:
+                job.result()
+            except RunError:
+                pool.shutdown(cancel_futures=True)
+                raise
+            (target / f"{notebook.stem}.inputs").write_text(fresh)
+    return [target / notebook.name for notebook in sections]
+
+
+def _execute_one(notebook: Path, target: Path, profile: str, folder: Path) -> None:
+    """Executes one notebook; raises RunError that names the section, the cell and the error."""
+    partial = target / f".{notebook.name}"
+    (target / notebook.name).unlink(missing_ok=True)
+    try:
+        papermill.execute_notebook(
+            notebook,
+            partial,
+            {"profile": profile, "results_dir": str(folder.resolve())},
+            cwd=str(notebook.parent),
+            kernel_name="python3",
+            progress_bar=False,
+            request_save_on_cell_execute=False,
+            extra_arguments=["--log-level=ERROR"],
+        )
+    except papermill.PapermillExecutionError as error:
+        partial.unlink(missing_ok=True)
+        where = f"section {notebook.name}, cell {error.cell_index}"
+        raise RunError(f"{where}: {error.ename}: {error.evalue}") from None
+    partial.replace(target / notebook.name)
 
 
 def _section(path: Path, made: Path) -> str:
     """An executed notebook as pandoc's Markdown; its figures go to `made`."""
-    exporter = MarkdownExporter(
-        template_name="section", extra_template_basedirs=[str(TEMPLATES)], exclude_input=True
-    )
+    exporter = MarkdownExporter(template_name="section", extra_template_basedirs=[str(TEMPLATES)])
     notebook = nbformat.read(path, as_version=4)
-    resources = {"output_files_dir": f"{path.stem}_figures", "unique_key": path.stem}
+    resources = {
+        "output_files_dir": f"{path.stem}_figures",
+        "unique_key": path.stem,
+        "notebook": path.name,
+    }
     body, resources = exporter.from_notebook_node(notebook, resources)
     for name, data in resources["outputs"].items():
         (made / name).parent.mkdir(exist_ok=True)

@@ -7,7 +7,7 @@
         values.csv          a row every 100 games: predicted and realised values
                             (evaluation.ValueCheck)
         evaluations.csv     a row a game of greedy play (evaluation.PlayedGame)
-        model.safetensors   the online network, float16
+        model.safetensors   the online network, float16, when the run was last stopped or ended
         snapshots/          the same after the games that `snapshot_games` names
         status.json         state, episodes_done, episodes
         provenance.json     commit, versions, processor, wall-clock, resumes
@@ -128,6 +128,12 @@ class Run:
         if source.state() != COMPLETE:
             raise RunError(f"{self.name} starts from {source.name}, which is {source.state()}")
         return evaluation.read_model(source.folder / "model.safetensors")
+
+    def models(self) -> dict[int, Path]:
+        """{games of training: file} of the stored models: snapshots, and the newest."""
+        paths = [*self.folder.glob("snapshots/*.safetensors"), self.folder / "model.safetensors"]
+        stored = {evaluation.trained_games(path): path for path in paths if path.exists()}
+        return dict(sorted(stored.items()))
 
     def status(self) -> dict[str, Any]:
         return json.loads((self.folder / "status.json").read_bytes())

@@ -1,24 +1,19 @@
-"""What the report's notebooks call: their parameters, the stored runs, and labelled output.
-
-Figures and tables carry their caption, label and text alternative with them, in the notebook's
-own output, from where `report` takes them into HTML and PDF.
-"""
+"""What the report's notebooks are about: their parameters, and the stored runs of a section."""
 
 import ast
+from functools import cached_property
 from typing import Any
 
 import pandas as pd
 from IPython.core.getipython import get_ipython
-from IPython.display import Markdown, display
-from matplotlib import pyplot as plt
-from matplotlib.figure import Figure
-from matplotlib_inline.backend_inline import set_matplotlib_formats
+from ruamel.yaml import YAML
 
-from atari_dqn import experiments, params, plots, runs
+from atari_dqn import experiments, params, runs
 from atari_dqn.envs import GAMES, GameFacts
+from atari_dqn.exhibits import show_text
 from atari_dqn.params import ParameterError, Parameters
 from atari_dqn.runs import Run
-from atari_dqn.statistics import MARKS, interval, scores_at_marks
+from atari_dqn.statistics import MARKS
 
 
 def injected() -> dict[str, Any]:
@@ -58,6 +53,12 @@ def run_from_notebook(values: dict[str, Any]) -> Run:
     return Run(params.pick(resolved, agent, seed), runs.results_folder(resolved.profile, results))
 
 
+def data(name: str) -> Any:
+    """What a file of notebooks/data/ holds."""
+    path = runs.project_root() / "notebooks" / "data" / f"{name}.yaml"
+    return YAML(typ="safe", pure=True).load(path.read_text(encoding="utf-8"))
+
+
 class Section:
     """The runs that one section of the report is about.
 
@@ -83,53 +84,101 @@ class Section:
         overrides = {key: value for key, value in chosen.items() if value is not None}
         self.params: Parameters = params.load(found[experiment], overrides)
         self.facts: GameFacts = GAMES[self.params.game]
-        self.file = found[experiment].relative_to(runs.project_root())
+        self.slug = experiment.replace("_", "-")  # what this section's labels hold
         folder = runs.results_folder(profile, results_dir)
         self.runs = runs.runs_of(self.params, folder)
         if train_missing:
             failures = experiments.train_all(self.runs)
             if failures:
                 raise runs.RunError("; ".join(failures))
-        usable = [run for run in self.runs if run.state() not in (runs.MISSING, runs.STALE)]
-        self.episodes: pd.DataFrame = runs.read_table(usable, "episodes.csv")
-        self.evaluations: pd.DataFrame = self._own(runs.read_table(usable, "evaluations.csv"))
         # How many games a point of a learning curve, and a number at a mark, is the mean of.
         self.curve_window = max(1, self.params.episodes // 30)
         self.mark_window = max(1, self.params.episodes // len(MARKS))
 
-    def _own(self, evaluations: pd.DataFrame) -> pd.DataFrame:
-        """Only the games that were played as the experiment trains and evaluates."""
-        if evaluations.empty:
-            return evaluations
+    @cached_property
+    def usable(self) -> list[Run]:
+        return [run for run in self.runs if run.state() not in (runs.MISSING, runs.STALE)]
+
+    @cached_property
+    def episodes(self) -> pd.DataFrame:
+        """A row a training game: `training.Episode`, agent, seed, variation, seconds so far."""
+        tables = []
+        for run in self.usable:
+            table = runs.read_table([run], "episodes.csv").assign(variation=run.variation)
+            timing = runs.read_table([run], "timing.csv")
+            if not table.empty:
+                tables.append(table.merge(timing[["episode", "seconds"]], "left", "episode"))
+        return pd.concat(tables, ignore_index=True) if tables else pd.DataFrame()
+
+    @cached_property
+    def values(self) -> pd.DataFrame:
+        """A row every hundred games: `evaluation.ValueCheck`, agent, seed."""
+        return runs.read_table(self.usable, "values.csv")
+
+    @cached_property
+    def evaluations(self) -> pd.DataFrame:
+        """A row an evaluation game that was played as the experiment trains and evaluates."""
+        table = self.all_evaluations
+        if table.empty:
+            return table
         p = self.params
-        return evaluations[
-            (evaluations.difficulty == p.difficulty)
-            & (evaluations.sticky_actions == p.sticky_actions)
-            & (evaluations.epsilon == p.evaluation_epsilon)
+        return table[
+            (table.difficulty == p.difficulty)
+            & (table.sticky_actions == p.sticky_actions)
+            & (table.epsilon == p.evaluation_epsilon)
         ]
+
+    @cached_property
+    def all_evaluations(self) -> pd.DataFrame:
+        """A row an evaluation game, at whatever difficulty and stickiness."""
+        return runs.read_table(self.usable, "evaluations.csv")
+
+    @property
+    def share(self) -> float:
+        """Games played, of those planned."""
+        wanted = len(self.runs) * self.params.episodes
+        return min(1.0, len(self.episodes) / wanted)
+
+    @property
+    def complete(self) -> bool:
+        return all(run.state() == runs.COMPLETE for run in self.runs)
+
+    def scores(self, agent: str, first: int, last: int) -> pd.Series:
+        """The scores of training games `first` to `last` of all the agent's seeds that have
+        played that far; empty if none has."""
+        if self.episodes.empty:
+            return pd.Series(dtype=float)
+        games = self.episodes[self.episodes.agent == agent]
+        reached = games.groupby("seed").episode.transform("max") >= last
+        return games[reached & games.episode.between(first, last)].score
+
+    @property
+    def origin(self) -> str:
+        """The files that hold the section's training games, for under a figure."""
+        agents = "*" if len(self.params.agents) > 1 else self.params.agents[0]
+        name = self.params.experiment + ("+*" if self.params.variations else "")
+        return f"results/runs/{name}/{agents}/seed-*/"
 
     def badge(self) -> None:
         """Says which runs are missing or partial, their share done, and how to finish them."""
         states = [run.state() for run in self.runs]
         complete = states.count(runs.COMPLETE)
-        share = len(self.episodes) / (len(self.runs) * self.params.episodes)
         profile = f" ({self.params.profile} runs)" if self.params.profile != "full" else ""
         text = (
             f"**{complete} of {len(self.runs)} runs complete**{profile}: "
-            f"{len(self.episodes):,} games played, {share:.0%} of those planned."
+            f"{len(self.episodes):,} games played, {self.share:.0%} of those planned."
         )
         if self.episodes.empty:
             text += " There is nothing to show yet."
-        option = "" if self.params.profile == "full" else f" PROFILE={self.params.profile}"
-        for run, state in zip(self.runs, states, strict=True):
-            command = f"make train EXPERIMENT={run.params.experiment} AGENT={run.agent} "
-            command += f"SEED={run.seed}{option}"
-            if state == runs.STALE:
-                text += f"\n\n{run.name} is stale ({'; '.join(run.changes())}) and not shown; once "
-                text += f"moved away, `{command}` trains it anew."
-            elif state != runs.COMPLETE:
-                text += f"\n\n{run.name} is {state}; `{command}` finishes it."
-        show_text(f"::: {{.badge}}\n{text}\n:::")
+        stale = [run for run, state in zip(self.runs, states, strict=True) if state == runs.STALE]
+        for run in stale:
+            text += f"\n\n{run.name} is stale ({'; '.join(run.changes())}) and not shown."
+        if complete < len(self.runs):
+            option = "" if self.params.profile == "full" else f" --profile {self.params.profile}"
+            name = self.params.experiment
+            text += f"\n\n`python -m atari_dqn experiments run {name}{option}` finishes them."
+        kind = ".badge" if complete == len(self.runs) else ".badge .partial"
+        show_text(f"::: {{{kind}}}\n{text}\n:::")
 
     def counted(self) -> str:
         """How many seeds and games there are, for captions."""
@@ -142,121 +191,18 @@ class Section:
         return f"seeds an agent: {number}; {len(self.episodes):,} training games{few}"
 
 
-def start() -> None:
-    """Prepares a notebook: figures in the project's style, as vector graphics."""
-    plots.style()
-    set_matplotlib_formats("svg", metadata={"Date": None, "Creator": None})
+class Study:
+    """All experiments of a profile: study["boxing_final"] is its section."""
 
-
-def show_text(markdown: str) -> None:
-    """Shows computed text."""
-    display(Markdown(markdown))
-
-
-def show_figure(figure: Figure, label: str, caption: str, alt: str) -> None:
-    """Shows a figure with its caption; `label` (fig-...) is what the text refers to."""
-    meta = {"label": label, "caption": caption, "alt": alt}
-    display(figure, metadata={"image/svg+xml": meta})
-    plt.close(figure)
-
-
-def show_table(table: pd.DataFrame, label: str, caption: str, decimals: int = 2) -> None:
-    """Shows a table with its caption; missing numbers are dashes."""
-    shown = table.map(lambda cell: f"{cell:.{decimals}f}" if isinstance(cell, float) else cell)
-    shown = shown.mask(table.isna(), "–")
-    right = tuple("right" if kind.kind in "if" else "left" for kind in table.dtypes)
-    text = shown.to_markdown(index=False, disable_numparse=True, colalign=right)
-    show_text(f"{text}\n\n: {caption} {{#{label}}}")
-
-
-def settings(of: list[Parameters]) -> pd.DataFrame:
-    """A row a training parameter, with its unit and its value in each experiment.
-
-    Parameters that only other experiments use are left out.
-    """
-    rare = {"warmup_games", "warmup_learning_rate", "initial_weights", "freeze_convolutions"}
-    rare |= {"transferred_layers"} | params.NOT_TRAINING
-    shown = [key for key in Parameters.model_fields if key not in rare]
-    table = pd.DataFrame(
-        {
-            "parameter": [f"`{key}`" for key in shown],
-            "unit": [Parameters.model_fields[key].description for key in shown],
+    def __init__(self, profile: str, results_dir: str | None = None):
+        self.sections = {
+            path.stem: Section(path.stem, profile, results_dir)
+            for path in experiments.files(profile)
         }
-    )
-    for item in of:
-        values = (getattr(item, key) for key in shown)
-        table[item.experiment] = [
-            f"{value:g}" if isinstance(value, float) else str(value) for value in values
-        ]
-    return table
 
+    def __getitem__(self, experiment: str) -> Section:
+        return self.sections[experiment]
 
-def show_curves(section: Section) -> None:
-    """The learning curves of the section's runs, as far as they have come."""
-    window, facts = section.curve_window, section.facts
-    if section.episodes.empty or section.episodes.episode.max() < window:
-        show_text(f"*No run has played the {window} games that a learning curve begins with.*")
-        return
-    show_figure(
-        plots.learning_curves(section.episodes, facts, window),
-        label=f"fig-{section.params.game}-curves",
-        caption=f"{facts.title}: raw score while training, with exploration; each point is the "
-        f"mean of the last {window} games ({section.counted()}).",
-        alt=f"Learning curves of the agents in {facts.title}: mean score against games played.",
-    )
-
-
-def show_marks(section: Section) -> None:
-    """The mean score of the last games at each mark that a run has reached."""
-    step = section.params.episodes / len(MARKS)
-    marks = tuple(dict.fromkeys(round(step * (index + 1)) for index in range(len(MARKS))))
-    if section.episodes.empty or section.episodes.episode.max() < marks[0]:
-        show_text(f"*No run has reached the first mark, {marks[0]} games.*")
-        return
-    table = scores_at_marks(section.episodes, marks, section.mark_window).reset_index()
-    table["agent"] = table.agent.map(runs.title)
-    show_table(
-        table,
-        label=f"tbl-{section.params.game}-marks",
-        caption=f"{section.facts.title}: mean raw score of {section.mark_window} games up to each "
-        f"number of games played ({section.counted()}). Human {section.facts.human:g}, random "
-        f"play {section.facts.random:g} [@dqnzoo2020].",
-    )
-
-
-def show_evaluations(section: Section) -> None:
-    """The evaluation games of every finished run, with an interval over the games played."""
-    if section.evaluations.empty:
-        show_text("*No run is finished, so none has been evaluated.*")
-        return
-    games = section.evaluations.groupby(["agent", "seed"]).size().min()
-    show_figure(
-        plots.score_distributions(section.evaluations),
-        label=f"fig-{section.params.game}-evaluation",
-        caption=f"{section.facts.title}: scores of the evaluation games ({games} games a run; "
-        f"{section.params.evaluation_epsilon:.1%} of the actions are random).",
-        alt=f"Box plots of each agent's evaluation scores in {section.facts.title}.",
-    )
-    rows = []
-    for (agent, seed), games in section.evaluations.groupby(["agent", "seed"], sort=False):
-        row = {
-            "agent": runs.title(agent),
-            "seed": seed,
-            "games": len(games),
-            "mean score": games.score.mean(),
-            "95% interval": "–",
-        }
-        if len(games) > 1:
-            low, high = interval(games.score.to_numpy())
-            row["95% interval"] = f"{low:.1f} to {high:.1f}"
-        if section.facts.knockout_cells is not None:
-            row["won"] = f"{games.won.mean():.0%}"
-            row["by knock-out"] = f"{(games.knockout == 1).mean():.0%}"
-        rows.append(row)
-    show_table(
-        pd.DataFrame(rows),
-        label=f"tbl-{section.params.game}-evaluation",
-        caption=f"{section.facts.title}: evaluation games. The interval is over the games of a run "
-        "(bootstrap), not over seeds.",
-        decimals=1,
-    )
+    @property
+    def runs(self) -> list[Run]:
+        return [run for section in self.sections.values() for run in section.runs]

@@ -45,3 +45,20 @@ def scores_at_marks(episodes: pd.DataFrame, marks: tuple[int, ...], window: int)
     table = pd.DataFrame.from_dict(rows, orient="index", columns=list(marks))
     table.index = pd.MultiIndex.from_tuples(table.index, names=["agent", "seed"])
     return table
+
+
+def difference(first: np.ndarray, second: np.ndarray) -> tuple[float, float]:
+    """95% bootstrap interval of mean(first) - mean(second), resampled independently (percentile).
+
+    Raises ValueError if either has fewer than two values.
+    """
+    if min(len(first), len(second)) < 2:
+        raise ValueError("a difference needs at least two values on each side")
+    result = stats.bootstrap(
+        (np.asarray(first, float), np.asarray(second, float)),
+        lambda a, b, axis: a.mean(axis=axis) - b.mean(axis=axis),
+        method="percentile",
+        rng=np.random.default_rng(0),
+    )
+    low, high = result.confidence_interval
+    return float(low), float(high)

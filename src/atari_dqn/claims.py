@@ -1,0 +1,315 @@
+"""What the source report claims, held against the stored runs: a verdict with its evidence each.
+
+A comparison is of mean scores of training games, with a bootstrap interval of the difference:
+`supported` if the whole interval lies on the claim's side of zero, `contradicted` if it lies on
+the other, `inconclusive` if it holds zero, `not yet run` while a run that the claim is about has
+not got as far. The intervals are over games; of one seed they say nothing about others.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from atari_dqn import runs
+from atari_dqn.agents import AGENTS
+from atari_dqn.sections import Section, Study
+from atari_dqn.statistics import difference, interval
+
+SUPPORTED, CONTRADICTED = "supported", "contradicted"
+INCONCLUSIVE, NOT_YET = "inconclusive", "not yet run"
+DQN, DOUBLE, DUELING = AGENTS
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """`evidence` is a sentence of computed numbers."""
+
+    verdict: str
+    evidence: str
+
+
+def all_of(verdicts: list[Verdict]) -> Verdict:
+    """A claim of several parts stands if every part does, and falls with any of them."""
+    kinds = [verdict.verdict for verdict in verdicts]
+    ranked = (CONTRADICTED, NOT_YET, INCONCLUSIVE, SUPPORTED)
+    worst = next(kind for kind in ranked if kind in kinds)
+    return Verdict(worst, "; ".join(verdict.evidence for verdict in verdicts))
+
+
+def above(section: Section, agent: str, first: int, last: int, score: float) -> Verdict:
+    """That an agent's games `first` to `last` score more than `score` on average."""
+    scores = section.scores(agent, first, last)
+    if scores.empty:
+        return _not_yet(section, agent, last)
+    low, high = interval(scores.to_numpy())
+    said = f"{runs.title(agent)} {scores.mean():.1f} ({low:.1f} to {high:.1f})"
+    return Verdict(_side(low - score, high - score), f"{said} against {score:g}")
+
+
+def better(
+    sections: tuple[Section, Section], agents: tuple[str, str], first: int, last: int
+) -> Verdict:
+    """That the first of two agents, each in its section, scores more in games `first` to `last`."""
+    scores = []
+    for section, agent in zip(sections, agents, strict=True):
+        scores.append(section.scores(agent, first, last))
+        if scores[-1].empty:
+            return _not_yet(section, agent, last)
+    low, high = difference(*(found.to_numpy() for found in scores))
+    means = " against ".join(
+        f"{runs.title(agent)} {found.mean():.1f}"
+        for agent, found in zip(agents, scores, strict=True)
+    )
+    if agents[0] == agents[1]:
+        names = [section.params.experiment for section in sections]
+        means = f"{runs.title(agents[0])}: {names[0]} {scores[0].mean():.1f} against {names[1]} "
+        means += f"{scores[1].mean():.1f}"
+    return Verdict(_side(low, high), f"{means}, difference {low:.1f} to {high:.1f}")
+
+
+def _not_yet(section: Section, agent: str, games: int) -> Verdict:
+    done = section.episodes
+    played = 0 if done.empty else int((done.agent == agent).sum())
+    name = f"{section.params.experiment}, {runs.title(agent)}"
+    return Verdict(NOT_YET, f"{name}: {played:,} of {games:,} games")
+
+
+def _side(low: float, high: float) -> str:
+    if low > 0:
+        return SUPPORTED
+    return CONTRADICTED if high < 0 else INCONCLUSIVE
+
+
+def _last(section: Section) -> tuple[int, int]:
+    """The games that a final score is the mean of."""
+    episodes = section.params.episodes
+    return episodes - section.mark_window + 1, episodes
+
+
+def _mark(section: Section, number: int) -> tuple[int, int]:
+    """The games up to the `number`-th mark (1 to 6)."""
+    return (number - 1) * section.mark_window + 1, number * section.mark_window
+
+
+def human_level(study: Study, experiment: str, mark: int = 6) -> Verdict:
+    """All agents of an experiment exceed the human reference at a mark."""
+    section = study[experiment]
+    return all_of(
+        [
+            above(section, agent, *_mark(section, mark), section.facts.human)
+            for agent in section.params.agents
+        ]
+    )
+
+
+def ordered(study: Study, experiment: str, best: str, others: list[str], mark: int) -> Verdict:
+    """One agent is better than each of the others at a mark."""
+    section = study[experiment]
+    games = _mark(section, mark)
+    return all_of([better((section, section), (best, other), *games) for other in others])
+
+
+def between(study: Study, first: str, second: str) -> Verdict:
+    """Every agent scores more in the first experiment than in the second, at the last games of
+    the shorter one."""
+    pair = (study[first], study[second])
+    games = _last(min(pair, key=lambda section: section.params.episodes))
+    agents = [agent for agent in pair[0].params.agents if agent in pair[1].params.agents]
+    return all_of([better(pair, (agent, agent), *games) for agent in agents])
+
+
+def overestimation(study: Study, experiment: str) -> Verdict:
+    """Double DQN's predictions exceed what it realises by less than DQN's do."""
+    section = study[experiment]
+    gaps = {}
+    for agent in (DQN, DOUBLE):
+        values = section.values
+        own = values[values.agent == agent] if not values.empty else values
+        if len(own) < 5:
+            return Verdict(NOT_YET, f"{runs.title(agent)}: {len(own)} value checks, 5 are needed")
+        gaps[agent] = (own.predicted - own.realised).to_numpy()
+    low, high = difference(gaps[DQN], gaps[DOUBLE])
+    said = ", ".join(f"{runs.title(agent)} {gap.mean():+.2f}" for agent, gap in gaps.items())
+    return Verdict(
+        _side(low, high), f"mean gap of {said}; DQN's is larger by {low:.2f} to {high:.2f}"
+    )
+
+
+def beaten_everywhere(study: Study) -> Verdict:
+    """The best finished Boxing agent wins on average at every difficulty."""
+    section = study["boxing_final"]
+    games = section.all_evaluations
+    if games.empty or games.difficulty.nunique() < 4:
+        played = 0 if games.empty else games.difficulty.nunique()
+        return Verdict(NOT_YET, f"evaluated at {played} of 4 difficulties")
+    parts = []
+    for difficulty, found in games.groupby("difficulty"):
+        best = found.groupby("agent").score.mean().idxmax()
+        scores = found[found.agent == best].score
+        low, high = interval(scores.to_numpy())
+        said = f"difficulty {difficulty}: {runs.title(str(best))} {scores.mean():.1f} "
+        parts.append(Verdict(_side(low, high), f"{said}({low:.1f} to {high:.1f})"))
+    return all_of(parts)
+
+
+def table(claims: dict[str, Callable[[], Verdict]]) -> pd.DataFrame:
+    """A row a claim: what is claimed, the verdict, the evidence."""
+    rows = []
+    for claim, judge in claims.items():
+        verdict = judge()
+        rows.append({"claim": claim, "verdict": verdict.verdict, "evidence": verdict.evidence})
+    return pd.DataFrame(rows)
+
+
+def findings(study: Study) -> pd.DataFrame:
+    """The source report's findings and interpretations (its section 2.1) and what it says along
+    the way, in our words."""
+    others = [DOUBLE, DUELING]
+    return table(
+        {
+            "All three agents exceed the human score in Boxing after 1,000 games": lambda: (
+                human_level(study, "boxing_final", mark=2)
+            ),
+            "Double and Dueling Double DQN end above DQN in Boxing": lambda: all_of(
+                [ordered(study, "boxing_final", agent, [DQN], 6) for agent in others]
+            ),
+            "Dueling Double DQN is the best of the first 500 games in both games": lambda: all_of(
+                [
+                    ordered(study, name, DUELING, [DQN, DOUBLE], 1)
+                    for name in ("boxing_final", "breakout_final")
+                ]
+            ),
+            "Double DQN ends highest in Boxing": lambda: ordered(
+                study, "boxing_final", DOUBLE, [DQN, DUELING], 6
+            ),
+            "Double DQN ends lowest in Breakout": lambda: all_of(
+                [ordered(study, "breakout_final", agent, [DOUBLE], 6) for agent in (DQN, DUELING)]
+            ),
+            "Double DQN overestimates less than DQN in Boxing": lambda: overestimation(
+                study, "boxing_final"
+            ),
+            "DQN is the best of the later Breakout experiment": lambda: ordered(
+                study, "breakout_late", DQN, others, 6
+            ),
+            "Breakout improves when a lost life costs reward (and batches are larger)": lambda: (
+                between(study, "breakout_final", "breakout_late")
+            ),
+            "A tenfold learning rate learns less in Boxing": lambda: between(
+                study, "boxing_final", "boxing_early"
+            ),
+            "A discount of 0.9 plays worse than 0.99": lambda: between(
+                study, "boxing_final", "boxing_low_gamma"
+            ),
+            "A discount of 0.995 plays worse than 0.99": lambda: between(
+                study, "boxing_final", "boxing_high_gamma"
+            ),
+            "All agents score more in expert mode": lambda: between(
+                study, "boxing_expert", "boxing_final"
+            ),
+            "Starting from a Breakout agent does not help in Boxing": lambda: negated(
+                between(study, "boxing_transfer", "boxing_final")
+            ),
+            "The opponent is beaten at every difficulty": lambda: beaten_everywhere(study),
+        }
+    )
+
+
+def negated(verdict: Verdict) -> Verdict:
+    """The verdict on the opposite claim."""
+    opposite = {SUPPORTED: CONTRADICTED, CONTRADICTED: SUPPORTED}
+    return Verdict(opposite.get(verdict.verdict, verdict.verdict), verdict.evidence)
+
+
+def goals(study: Study) -> pd.DataFrame:
+    """The source report's four goals (its section 2.2)."""
+    return table(
+        {
+            "Human level in Boxing with each agent": lambda: human_level(study, "boxing_final"),
+            "Human level in Breakout with each agent": lambda: human_level(study, "breakout_final"),
+            "Comparable data for three agents and two games": lambda: _finished(
+                study, ["boxing_final", "breakout_final"]
+            ),
+            "How hyper-parameters change performance": lambda: _finished(
+                study, ["boxing_sensitivity", "boxing_low_gamma", "boxing_high_gamma"]
+            ),
+            "How well transfer from Breakout to Boxing works": lambda: _finished(
+                study, ["boxing_transfer", "boxing_transfer_controls"]
+            ),
+        }
+    )
+
+
+def _finished(study: Study, names: list[str]) -> Verdict:
+    """An aim that is reached when its runs are there."""
+    sections = [study[name] for name in names]
+    share = np.mean([section.share for section in sections])
+    done = all(section.complete for section in sections)
+    said = ", ".join(f"{section.params.experiment} {section.share:.0%}" for section in sections)
+    return Verdict(SUPPORTED if done else NOT_YET, f"{share:.0%} of the games played ({said})")
+
+
+def headline(study: Study) -> str:
+    """One paragraph: how far the runs are, and how the claims stand."""
+    section = study["boxing_final"]
+    judged = findings(study).verdict.value_counts()
+    done = judged.drop(NOT_YET, errors="ignore")
+    share = np.mean([each.share for each in study.sections.values()])
+    if section.episodes.empty:
+        text = "No run is stored yet."
+    else:
+        window = section.mark_window
+        recent = section.episodes.groupby(["agent", "seed"]).tail(min(100, window))
+        means = recent.groupby("agent").score.mean()
+        best = str(means.idxmax())
+        games = int(section.episodes[section.episodes.agent == best].episode.max())
+        level = "above" if means[best] > section.facts.human else "below"
+        text = (
+            f"After {games:,} games of Boxing the best agent so far, {runs.title(best)}, scores "
+            f"{means[best]:.1f} points a game while still exploring, {level} the human reference "
+            f"of {section.facts.human:g}."
+        )
+    counted = ", ".join(f"{number} {verdict}" for verdict, number in done.items()) or "none yet"
+    return (
+        f"**{text}** Of {judged.sum()} claims of the source report that our runs can judge, "
+        f"{done.sum()} are judged so far ({counted}); {share:.0%} of the planned games are played."
+    )
+
+
+def cards(study: Study) -> str:
+    """Four numbers, as a division of class `card`."""
+    section = study["boxing_final"]
+    games = sum(len(each.episodes) for each in study.sections.values())
+    judged = findings(study).verdict
+    best = "–"
+    if not section.episodes.empty:
+        recent = section.episodes.groupby(["agent", "seed"]).tail(100)
+        best = f"{recent.groupby(['agent', 'seed']).score.mean().max():.1f}"
+    numbers = [
+        (best, "points in Boxing: the best mean of a run's last 100 training games"),
+        (f"{section.facts.human:g}", "points: a human tester's mean"),
+        (f"{games:,}", "training games stored"),
+        (f"{(judged != NOT_YET).sum()} of {len(judged)}", "claims of the source report judged"),
+    ]
+    cells = "\n".join(f"::: {{}}\n**{number}** {what}\n:::" for number, what in numbers)
+    return f":::: {{.card}}\n{cells}\n::::"
+
+
+OBJECTIVES = {
+    "Explore the concepts and methods of reinforcement learning": "@sec-background",
+    "Understand the algorithms: architecture, training, mathematics": "@sec-design",
+    "Build deep networks, losses and hyper-parameter tuning in PyTorch": (
+        "@sec-networks, @sec-sensitivity"
+    ),
+    "Train agents in Gymnasium's environments": "@sec-results",
+    "Evaluate: learning curves, convergence, interpretation": "@sec-findings",
+    "Document and communicate": "this report; @sec-repeat",
+}
+
+
+def objectives() -> pd.DataFrame:
+    """The source report's six learning objectives, and the sections that serve them."""
+    return pd.DataFrame(
+        {"objective": OBJECTIVES.keys(), "where this study serves it": OBJECTIVES.values()}
+    )

@@ -1,0 +1,83 @@
+"""Speed and cost: the stored benchmark beside the peers, and the hours that the runs took."""
+
+import json
+
+import pandas as pd
+import seaborn as sns
+from matplotlib import pyplot as plt
+
+from atari_dqn import plots, provenance, runs
+from atari_dqn.agents import AGENTS
+from atari_dqn.exhibits import show_absent, show_figure, show_table, show_text
+from atari_dqn.sections import Study, data
+
+OURS = "atari-dqn"
+FOLDER = "results/benchmarks"
+
+
+def show_throughput() -> None:
+    """Training speed beside the peers', each in its best set-up."""
+    folder = runs.project_root() / FOLDER
+    if not (folder / "throughput.csv").exists():
+        show_absent("fig-throughput", "The benchmark has not been run: `make bench` does.")
+        return
+    measured = pd.read_csv(folder / "throughput.csv")
+    machine = json.loads((folder / "machine.json").read_text())
+    best = measured.loc[measured.groupby(["library", "agent"]).steps_per_second.idxmax()]
+    best = best.sort_values("steps_per_second", ascending=False)
+    figure, axes = plt.subplots(figsize=(plots.WIDTH, 2.6))
+    shown = best.assign(agent=best.agent.map(lambda agent: AGENTS[agent].title))
+    sns.barplot(shown, x="steps_per_second", y="library", hue="agent", palette="muted", ax=axes)
+    for bars in axes.containers:
+        axes.bar_label(bars, fmt="%.0f", padding=3, fontsize="small")
+    axes.set(xlabel="agent steps a second, whole machine, best set-up", ylabel="")
+    axes.legend(title=None, loc="lower right")
+    show_figure(
+        figure,
+        label="fig-throughput",
+        caption=f"Training speed on {machine['cores']} cores of an {machine['processor']}: Boxing, "
+        "batch 32, one update every 4 agent steps, everything included. Each library in its "
+        "best set-up; `throughput.csv` has them all.",
+        alt="Bars of agent steps a second for this project and its peers.",
+        data=f"{FOLDER}/throughput.csv",
+    )
+    ours = best[(best.library == OURS) & (best.agent == "dqn")].iloc[0]
+    show_text(
+        f"With DQN this project makes {ours.steps_per_second:.0f} agent steps a second, "
+        f"{ours.ratio_to_best_peer:.2f} times the fastest peer in that peer's best set-up. That is "
+        f"{ours.share_of_roofline:.0%} of the machine's *roofline*: of the speed that it would have "
+        "if it did nothing but the necessary arithmetic at its processor's highest speed "
+        f"({machine['float32_gflops_a_core']:.0f} billion operations a second and core) and the "
+        "emulation."
+    )
+
+
+def show_breakdown() -> None:
+    """Where the time of an update goes."""
+    path = runs.project_root() / FOLDER / "breakdown.csv"
+    if not path.exists():
+        show_absent("tbl-breakdown", "`python benchmarks/breakdown.py` has not been run.")
+        return
+    table = pd.read_csv(path)
+    table["share"] = table.share.map("{:.0%}".format)
+    table["share_of_peak"] = table.share_of_peak.map("{:.0%}".format).replace("nan%", "–")
+    show_table(
+        table.rename(columns=lambda name: name.replace("_", " ")),
+        label="tbl-breakdown",
+        caption="Where the time of an update and its four agent steps goes: one process, one "
+        "thread; and how near the processor's highest speed the arithmetic comes.",
+    )
+
+
+def show_hours(study: Study) -> None:
+    """Core-hours so far, and beside the source report's early run."""
+    stored = [run for run in study.runs if run.state() != runs.MISSING]
+    hours = sum(provenance.read(run)["wall_clock_seconds"] for run in stored) / 3600
+    early = study["breakout_early"]
+    text = f"The {len(stored)} stored runs took {hours:,.1f} core-hours so far."
+    if early.complete:
+        ours = early.episodes.seconds.max() / 3600
+        theirs = data("source_report")["early_breakout_hours"]
+        text += f" The 7,000 games of the early Breakout run took {ours:.1f} hours on one core; "
+        text += f"the source report's took {theirs}."
+    show_text(text)

@@ -1,0 +1,75 @@
+"""Labelled output of the report's notebooks: text, figures, tables and films.
+
+Each carries its caption, label, text alternative and origin with it, in the notebook's own output,
+from where `report` takes them into HTML and PDF.
+"""
+
+import base64
+from typing import Any
+
+import pandas as pd
+from IPython.display import Markdown, display
+from matplotlib import pyplot as plt
+from matplotlib.figure import Figure
+from matplotlib_inline.backend_inline import set_matplotlib_formats
+
+from atari_dqn import plots
+from atari_dqn.films import Film
+
+
+def start() -> None:
+    """Prepares a notebook: figures in the project's style, as vector graphics."""
+    plots.style()
+    # bbox_inches: a figure keeps its size, so that places on it can be told beforehand
+    set_matplotlib_formats("svg", bbox_inches=None, metadata={"Date": None, "Creator": None})
+
+
+def show_text(markdown: str) -> None:
+    """Shows computed text."""
+    display(Markdown(markdown))
+
+
+def show_absent(label: str, why: str) -> None:
+    """Holds the place of a figure or table that has nothing to show yet, and says why."""
+    show_text(f"::: {{#{label} .absent}}\n{why}\n:::")
+
+
+def show_figure(
+    figure: Figure,
+    label: str,
+    caption: str,
+    alt: str,
+    data: str = "",
+    hover: dict[str, Any] | None = None,
+) -> None:
+    """Shows a figure with its caption; `label` (fig-...) is what the text refers to.
+
+    `data` says which files it is drawn from. `hover` (`plots.hover_values`) are the values that
+    the page shows under the pointer.
+    """
+    meta = {"label": label, "caption": caption, "alt": alt, "data": data, "hover": hover}
+    display(figure, metadata={"image/svg+xml": meta})
+    plt.close(figure)
+
+
+def show_film(film: Film, label: str, caption: str, alt: str, data: str = "") -> None:
+    """Shows a film on the page; on paper, a strip of its pictures. `label` is vid-..."""
+    meta = {
+        "label": label,
+        "caption": caption,
+        "alt": alt,
+        "data": data,
+        "video": base64.b64encode(film.video).decode(),
+        "poster": base64.b64encode(film.poster).decode(),
+    }
+    strip = base64.b64encode(film.strip).decode()
+    display({"image/png": strip}, metadata={"image/png": meta}, raw=True)
+
+
+def show_table(table: pd.DataFrame, label: str, caption: str, decimals: int = 2) -> None:
+    """Shows a table with its caption; missing numbers are dashes."""
+    shown = table.map(lambda cell: f"{cell:.{decimals}f}" if isinstance(cell, float) else cell)
+    shown = shown.mask(table.isna(), "–")
+    right = tuple("right" if kind.kind in "if" else "left" for kind in table.dtypes)
+    text = shown.to_markdown(index=False, disable_numparse=True, colalign=right)
+    show_text(f"{text}\n\n: {caption} {{#{label}}}")

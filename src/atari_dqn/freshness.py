@@ -1,0 +1,68 @@
+"""Whether a section of the report must be executed again: a digest of all it is made from."""
+
+import ast
+import hashlib
+import json
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+from atari_dqn import experiments, params, runs
+
+PACKAGE = Path(__file__).parent
+
+
+def fingerprint(notebook: Path, profile: str, results: Path) -> str:
+    """SHA-256 (hex) of a notebook and what it depends on: the modules that it imports, directly
+    or through others; the data files beside it; the stored runs of the experiments that it names.
+    """
+    source = notebook.read_text(encoding="utf-8")
+    code = "\n".join(
+        "".join(cell["source"])
+        for cell in json.loads(source)["cells"]
+        if cell["cell_type"] == "code"
+    )
+    digest = hashlib.sha256(f"{profile}\n{results.resolve()}\n{source}".encode())
+    for path in [*_modules(code), *_data(notebook), *_stored(code, profile, results)]:
+        digest.update(f"{path}\n".encode())
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+def imports(code: str) -> set[str]:
+    """The package's modules that some code imports."""
+    found = set()
+    for node in ast.walk(ast.parse(code)):
+        if isinstance(node, ast.ImportFrom) and node.module == "atari_dqn":
+            found |= {name.name for name in node.names}
+        elif isinstance(node, ast.ImportFrom) and (node.module or "").startswith("atari_dqn."):
+            found.add(node.module.split(".")[1])
+    return found
+
+
+def _modules(code: str) -> list[Path]:
+    """The source files of what `code` imports, directly or through others."""
+    seen: set[str] = set()
+    waiting = imports(code)
+    while waiting:
+        name = waiting.pop()
+        seen.add(name)
+        waiting |= imports((PACKAGE / f"{name}.py").read_text(encoding="utf-8")) - seen
+    return [PACKAGE / f"{name}.py" for name in sorted(seen)]
+
+
+def _data(notebook: Path) -> list[Path]:
+    return sorted((notebook.parent / "data").glob("*.yaml"))
+
+
+def _stored(code: str, profile: str, results: Path) -> Iterator[Path]:
+    """The parameter files and stored runs of every experiment that the code names; of all of them
+    if it asks for the whole study."""
+    for path in experiments.files(profile):
+        if not re.search(rf"""["']{path.stem}["']|\bStudy\(""", code):
+            continue
+        yield path
+        for run in runs.runs_of(params.load(path), results):
+            names = ("episodes.csv", "values.csv", "evaluations.csv", "status.json")
+            files = [run.folder / name for name in (*names, "model.safetensors")]
+            yield from (file for file in files if file.exists())

@@ -1,0 +1,41 @@
+"""Where the stored runs come from, and what they cost."""
+
+import json
+from typing import Any
+
+import pandas as pd
+
+from atari_dqn import runs
+from atari_dqn.runs import Run
+from atari_dqn.sections import Study
+
+
+def read(run: Run) -> dict[str, Any]:
+    """A stored run's provenance.json."""
+    return json.loads((run.folder / "provenance.json").read_bytes())
+
+
+def run_table(study: Study) -> pd.DataFrame:
+    """A row a stored run: state, games, agent steps, hours, resumes, commit, parameters' hash."""
+    rows = []
+    for run in study.runs:
+        state = run.state()
+        if state == runs.MISSING:
+            continue
+        stored = read(run)
+        last = stored["sessions"][-1]
+        rows.append(
+            {
+                "run": f"`{run.name}`",
+                "state": state,
+                "games": f"{run.status()['episodes_done']:,}",
+                "agent steps": f"{stored['agent_steps']:,}",
+                "hours": stored["wall_clock_seconds"] / 3600,
+                "resumes": stored["resumes"],
+                "processor": last["processor"],
+                "commit": f"`{last['commit'][:8]}`",
+                "hash": f"`{stored['identity'][:8]}`",
+            }
+        )
+    columns = ["run", "state", "games", "agent steps", "hours", "resumes", "processor"]
+    return pd.DataFrame(rows, columns=[*columns, "commit", "hash"])

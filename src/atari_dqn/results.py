@@ -1,0 +1,216 @@
+"""The exhibits that every section about an experiment has: curves, marks, evaluation, values."""
+
+import numpy as np
+import pandas as pd
+
+from atari_dqn import plots, runs
+from atari_dqn.exhibits import show_absent, show_figure, show_table
+from atari_dqn.sections import Section, data
+from atari_dqn.statistics import MARKS, interval, scores_at_marks
+
+
+def show_curves(section: Section) -> None:
+    """The learning curves of the section's runs, as far as they have come."""
+    label, window, facts = f"fig-{section.slug}-curves", section.curve_window, section.facts
+    if section.episodes.empty or section.episodes.episode.max() < window:
+        show_absent(label, f"No run has played the {window} games a learning curve begins with.")
+        return
+    game = section.params.game
+    published = data("published")
+    points = {"frames": published["frames"], **published[game]}
+    figure, hover = plots.learning_curves(section.episodes, facts, window, points)
+    show_figure(
+        figure,
+        label=label,
+        caption=f"{facts.title}, `{section.params.experiment}`: raw score while training, with "
+        f"exploration, against games, frames and hours; each point is the mean of the last "
+        f"{window} games ({section.counted()}). Without sticky actions; the marks are published "
+        "agents, trained with them [@dopamine2018].",
+        alt=f"Learning curves of the agents in {facts.title}: mean score against games played, "
+        "frames and hours.",
+        data=section.origin + "episodes.csv and timing.csv",
+        hover=hover,
+    )
+
+
+def show_marks(section: Section) -> None:
+    """The mean score of the last games at each mark that a run has reached, and the source
+    report's."""
+    label = f"tbl-{section.slug}-marks"
+    step = section.params.episodes / len(MARKS)
+    marks = tuple(dict.fromkeys(round(step * (index + 1)) for index in range(len(MARKS))))
+    if section.episodes.empty or section.episodes.episode.max() < marks[0]:
+        show_absent(label, f"No run has reached the first mark, {marks[0]:,} games.")
+        return
+    ours = scores_at_marks(section.episodes, marks, section.mark_window).reset_index()
+    ours["seed"] = [f"ours, seed {seed}" for seed in ours.seed]
+    tables = [ours]
+    source = data("source_report")
+    theirs = source.get(section.params.experiment, {}) if marks == MARKS else {}
+    for agent, scores in theirs.items():
+        row = dict(zip(source["marks"], scores, strict=True))
+        tables.append(pd.DataFrame([{"agent": agent, "seed": "source report", **row}]))
+    table = pd.concat(tables).sort_values("agent", key=_rank, kind="stable").astype({"seed": str})
+    table[list(marks)] = table[list(marks)].astype(float)
+    table["agent"] = table.agent.map(runs.title)
+    facts = section.facts
+    show_table(
+        table.rename(columns={"seed": "whose"}),
+        label=label,
+        caption=f"{facts.title}, `{section.params.experiment}`: mean raw score of "
+        f"{section.mark_window} games up to each number of games played ({section.counted()}). "
+        f"Human {facts.human:g}, random play {facts.random:g} [@dqnzoo2020].",
+    )
+
+
+def _rank(agents: pd.Series) -> pd.Series:
+    return agents.map({name: place for place, name in enumerate(runs.AGENTS)})
+
+
+def show_evaluations(section: Section) -> None:
+    """The evaluation games of every finished run, with an interval over the games played."""
+    figure, table = f"fig-{section.slug}-evaluation", f"tbl-{section.slug}-evaluation"
+    if section.evaluations.empty:
+        show_absent(figure, "No run is finished, so none has been evaluated.")
+        show_absent(table, "The table of evaluation games follows the first finished run.")
+        return
+    games = section.evaluations.groupby(["agent", "seed"]).size().min()
+    p = section.params
+    show_figure(
+        plots.score_distributions(section.evaluations),
+        label=figure,
+        caption=f"{section.facts.title}, `{p.experiment}`: scores of the evaluation games "
+        f"({games} games a run; {p.evaluation_epsilon:.1%} of the actions are random).",
+        alt=f"Box plots of each agent's evaluation scores in {section.facts.title}.",
+        data=section.origin + "evaluations.csv",
+    )
+    rows = [
+        _evaluated(section, str(agent), int(seed), games)
+        for (agent, seed), games in section.evaluations.groupby(["agent", "seed"], sort=False)
+    ]
+    show_table(
+        pd.DataFrame(rows),
+        label=table,
+        caption=f"{section.facts.title}, `{p.experiment}`: evaluation games at difficulty "
+        f"{p.difficulty}. The interval is over the games of a run (bootstrap), not over seeds; "
+        f"games start from {p.noop_max} different idle openings only, so that it is somewhat too "
+        "narrow.",
+        decimals=1,
+    )
+
+
+def _evaluated(section: Section, agent: str, seed: int, games: pd.DataFrame) -> dict:
+    row = {
+        "agent": runs.title(agent),
+        "seed": seed,
+        "games": len(games),
+        "mean score": games.score.mean(),
+        "95% interval": "–",
+    }
+    if len(games) > 1:
+        low, high = interval(games.score.to_numpy())
+        row["95% interval"] = f"{low:.1f} to {high:.1f}"
+    if section.facts.knockout_cells is not None:
+        row["won"] = f"{games.won.mean():.0%}"
+        row["by knock-out"] = f"{(games.knockout == 1).mean():.0%}"
+    return row
+
+
+def show_values(section: Section) -> None:
+    """Predicted against realised values: what overestimation is measured by."""
+    label = f"fig-{section.slug}-values"
+    if section.values.empty:
+        show_absent(label, "No run has played the 100 games that the first check comes after.")
+        return
+    show_figure(
+        plots.value_errors(section.values),
+        label=label,
+        caption=f"{section.facts.title}, `{section.params.experiment}`: the value that the "
+        "network predicts for the states of four greedy games, and the discounted clipped "
+        "return that followed them, every 100 training games. A gap is overestimation "
+        f"({section.counted()}).",
+        alt="Predicted and realised values of states against training games, a panel an agent.",
+        data=section.origin + "values.csv",
+    )
+
+
+def show_variations(section: Section, reference: Section, agent: str) -> None:
+    """The curves of a sweep beside the same games of the unchanged set-up, and their table."""
+    figure, table = f"fig-{section.slug}-curves", f"tbl-{section.slug}"
+    games, window = section.params.episodes, section.curve_window
+    sweep = section.episodes
+    if sweep.empty or sweep.episode.max() < window:
+        show_absent(figure, f"No variation has played the {window} games a curve begins with.")
+        show_absent(table, "The table of variations follows the first finished run.")
+        return
+    unchanged = reference.episodes
+    if not unchanged.empty:
+        unchanged = unchanged[(unchanged.agent == agent) & (unchanged.episode <= games)]
+        sweep = pd.concat([unchanged.assign(variation="unchanged"), sweep])
+    show_figure(
+        plots.comparison(sweep, section.facts, window, "variation"),
+        label=figure,
+        caption=f"{section.facts.title}, `{section.params.experiment}`: one change at a time, "
+        f"{runs.title(agent)}; mean raw score of the last {window} training games "
+        f"({section.counted()}).",
+        alt="Learning curves of the variations and of the unchanged set-up.",
+        data=section.origin + "episodes.csv",
+    )
+    last = sweep[sweep.episode > sweep.groupby("variation").episode.transform("max") - window]
+    rows = [
+        {
+            "variation": name,
+            "games": int(found.episode.max()),
+            f"mean of the last {window} games": found.score.mean(),
+            "95% interval": "{:.1f} to {:.1f}".format(*interval(found.score.to_numpy())),
+        }
+        for name, found in last.groupby("variation", sort=False)
+        if len(found) > 1
+    ]
+    show_table(
+        pd.DataFrame(rows).replace({np.nan: None}),
+        label=table,
+        caption=f"{section.facts.title}, `{section.params.experiment}`: training scores with "
+        "exploration. Intervals are over games of one run (bootstrap), not over seeds.",
+        decimals=1,
+    )
+
+
+def show_transfer(transferred: Section, scratch: Section) -> None:
+    """What starting from another game's agent is worth (Taylor and Stone, 2009)."""
+    label, window = "tbl-transfer", transferred.mark_window
+    rows = []
+    for agent in transferred.params.agents:
+        pair = [section.episodes for section in (transferred, scratch)]
+        if any(table.empty for table in pair):
+            continue
+        ours, theirs = (table[table.agent == agent] for table in pair)
+        games = min(ours.episode.max(), theirs.episode.max()) if len(ours) and len(theirs) else 0
+        if games < window:
+            continue
+        with_, without = (_first_games(table, int(games)) for table in (ours, theirs))
+        start, end = slice(0, window // 5), slice(-window, None)
+        rows.append(
+            {
+                "agent": runs.title(agent),
+                "games": int(games),
+                "jump-start": (with_[start] - without[start]).mean(),
+                "area ratio": (with_.sum() - without.sum()) / abs(without.sum()),
+                "difference at the end": (with_[end] - without[end]).mean(),
+            }
+        )
+    if not rows:
+        show_absent(label, f"No agent has played {window} games both ways yet.")
+        return
+    show_table(
+        pd.DataFrame(rows),
+        label=label,
+        caption=f"{transferred.facts.title}: what the start from Breakout is worth, over the games "
+        f"that both runs have played: points in the first {window // 5} games, share of the area "
+        f"under the curve from scratch, points in the last {window} games.",
+    )
+
+
+def _first_games(table: pd.DataFrame, games: int) -> np.ndarray:
+    """Mean score of each of the first games, over seeds: float64 [games]."""
+    return table[table.episode <= games].groupby("episode").score.mean().to_numpy()

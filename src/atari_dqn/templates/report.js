@@ -1,0 +1,123 @@
+"use strict";
+const tip = document.getElementById("tip");
+
+function showTip(content, x, y) {
+  tip.replaceChildren(...content);
+  tip.hidden = false;
+  const box = tip.getBoundingClientRect();
+  const left = Math.min(Math.max(8, x + 14), document.documentElement.clientWidth - box.width - 8);
+  const above = y - box.height - 14;
+  tip.style.left = `${left + window.scrollX}px`;
+  tip.style.top = `${(above > 8 ? above : y + 22) + window.scrollY}px`;
+}
+function hideTip() { tip.hidden = true; }
+function element(name, text) {
+  const made = document.createElement(name);
+  made.textContent = text;
+  return made;
+}
+
+// What a citation or a reference to a figure, table or section stands for, on hover and on focus.
+function preview(target) {
+  const entry = target.closest(".csl-entry");
+  if (entry) return [element("p", entry.textContent)];
+  const image = target.querySelector("figure img, img, video");
+  const caption = target.querySelector("figcaption, caption");
+  if (!image && !caption) return [element("p", target.textContent.trim().slice(0, 300))];
+  const parts = [];
+  if (image) {
+    const copy = document.createElement("img");
+    copy.src = image.poster || image.src;
+    copy.alt = "";
+    parts.push(copy);
+  }
+  if (caption) parts.push(element("p", caption.textContent));
+  return parts;
+}
+for (const link of document.querySelectorAll("main a[href^='#']")) {
+  const target = document.getElementById(decodeURIComponent(link.hash.slice(1)));
+  if (!target) continue;
+  const show = () => {
+    const box = link.getBoundingClientRect();
+    showTip(preview(target), box.left, box.top);
+  };
+  link.addEventListener("pointerenter", show);
+  link.addEventListener("focus", show);
+  link.addEventListener("pointerleave", hideTip);
+  link.addEventListener("blur", hideTip);
+}
+document.addEventListener("keydown", (event) => { if (event.key === "Escape") hideTip(); });
+
+// Figures open large on a click or with the Enter key.
+const light = document.getElementById("light");
+for (const image of document.querySelectorAll("figure img")) {
+  image.tabIndex = 0;
+  image.setAttribute("role", "button");
+  const open = () => {
+    const large = document.createElement("img");
+    large.src = image.src;
+    large.alt = image.alt;
+    light.querySelector("div").replaceChildren(large);
+    light.showModal();
+  };
+  image.addEventListener("click", open);
+  image.addEventListener("keydown", (event) => {
+    if (event.key === "Enter" || event.key === " ") { event.preventDefault(); open(); }
+  });
+}
+light.addEventListener("click", () => light.close());
+
+// The values of the curves at the pointer's place.
+for (const source of document.querySelectorAll("script.hover")) {
+  const figure = document.getElementById(source.dataset.figure);
+  const image = figure && (figure.matches("img") ? figure : figure.querySelector("img"));
+  if (!image) continue;
+  const { axes, curves, x_label: xLabel } = JSON.parse(source.textContent);
+  image.addEventListener("pointermove", (event) => {
+    const box = image.getBoundingClientRect();
+    const style = getComputedStyle(image);
+    const pad = parseFloat(style.paddingLeft);
+    const share = (event.clientX - box.left - pad) / (box.width - 2 * pad);
+    const x = axes.x_min + (share - axes.left) / axes.width * (axes.x_max - axes.x_min);
+    if (share < axes.left || share > axes.left + axes.width) { hideTip(); return; }
+    const lines = curves.flatMap(({ name, xs, ys }) => {
+      if (x < xs[0] || x > xs[xs.length - 1]) return [];
+      let nearest = 0;
+      for (let i = 1; i < xs.length; i += 1) {
+        if (Math.abs(xs[i] - x) < Math.abs(xs[nearest] - x)) nearest = i;
+      }
+      return [element("p", `${name}: ${ys[nearest].toFixed(1)}`)];
+    });
+    if (!lines.length) { hideTip(); return; }
+    showTip([element("p", `${xLabel} ${Math.round(x).toLocaleString("en")}`), ...lines], event.clientX, event.clientY);
+  });
+  image.addEventListener("pointerleave", hideTip);
+}
+
+// Wide tables scroll within themselves; the contents follow the reader.
+for (const table of document.querySelectorAll("main table")) {
+  const wide = document.createElement("div");
+  wide.className = "wide";
+  wide.tabIndex = 0;
+  table.replaceWith(wide);
+  wide.append(table);
+}
+const entries = new Map();
+for (const link of document.querySelectorAll("#contents a")) {
+  entries.set(decodeURIComponent(link.hash.slice(1)), link);
+}
+const headings = [...document.querySelectorAll("main h1[id], main h2[id], main section[id]")];
+const follow = () => {
+  let current = null;
+  for (const heading of headings) {
+    if (heading.getBoundingClientRect().top < 120 && entries.has(heading.id)) current = heading.id;
+  }
+  for (const [id, link] of entries) {
+    if (id === current) link.setAttribute("aria-current", "true");
+    else link.removeAttribute("aria-current");
+  }
+};
+document.addEventListener("scroll", follow, { passive: true });
+follow();
+const narrow = window.matchMedia("(max-width: 75rem)");
+if (narrow.matches) document.querySelector("#contents details").open = false;

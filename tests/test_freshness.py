@@ -1,0 +1,65 @@
+"""What makes a section of the report out of date, and what does not."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from atari_dqn import freshness, params, runs
+
+ROOT = Path(__file__).parents[1]
+
+
+@pytest.fixture
+def notebook(tmp_path):
+    """A section that draws a diagram and shows the runs of one experiment."""
+    cells = [
+        "from atari_dqn import exploration",
+        'section = sections.Section("boxing_final", profile)',
+    ]
+    path = tmp_path / "notebooks" / "01_one.ipynb"
+    path.parent.mkdir()
+    listed = [{"cell_type": "code", "source": [cell]} for cell in cells]
+    path.write_text(json.dumps({"cells": listed}))
+    return path
+
+
+def test_only_what_a_section_is_made_from_makes_it_stale(notebook, tmp_path, monkeypatch):
+    package = tmp_path / "package"
+    package.mkdir()
+    for path in (ROOT / "src" / "atari_dqn").glob("*.py"):
+        (package / path.name).write_bytes(path.read_bytes())
+    monkeypatch.setattr(freshness, "PACKAGE", package)
+
+    def now():
+        return freshness.fingerprint(notebook, "smoke", tmp_path)
+
+    def changes(path, text="x = 1\n"):
+        before = now()
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(path.read_text() + text if path.exists() else text)
+        return now() != before
+
+    assert now() == now()
+    assert changes(package / "exploration.py"), "imported"
+    assert changes(package / "params.py"), "imported by what is imported"
+    assert not changes(package / "cluster.py"), "not imported"
+    assert changes(notebook.parent / "data" / "facts.yaml")
+    of = {name: run_folder(name, tmp_path) for name in ("boxing_final", "breakout_final")}
+    assert changes(of["boxing_final"] / "episodes.csv"), "its experiment's"
+    assert not changes(of["breakout_final"] / "episodes.csv"), "another's"
+    assert changes(notebook, "\n")
+
+
+def run_folder(name, results):
+    parameters = params.load(ROOT / "params" / "smoke" / f"{name}.yaml")
+    return runs.runs_of(parameters, results)[0].folder
+
+
+def test_a_section_on_the_whole_study_depends_on_every_experiment(notebook, tmp_path):
+    notebook.write_text(notebook.read_text().replace("sections.Section(", "sections.Study("))
+    before = freshness.fingerprint(notebook, "smoke", tmp_path)
+    folder = run_folder("breakout_late", tmp_path)
+    folder.mkdir(parents=True)
+    (folder / "episodes.csv").write_text("episode\n")
+    assert freshness.fingerprint(notebook, "smoke", tmp_path) != before

@@ -1,0 +1,83 @@
+"""Labels, numbers and completeness of the report's text."""
+
+import pytest
+
+from atari_dqn import manuscript
+from atari_dqn.runs import RunError
+
+FIGURE = '![A caption.](a.svg){#fig-one alt="A picture of something."}'
+TEXT = f"""
+# First {{#sec-first}}
+
+See @fig-one, @tbl-one and @eq-one; @sec-second-part is later, and [@mnih2015] is a citation.
+
+{FIGURE}
+
+``` python
+# A comment, no heading {{#sec-no}}
+```
+
+## Inner
+
+# Second {{#sec-second}}
+
+## Part {{#sec-second-part}}
+
+$$a = b$$ {{#eq-one}}
+
+: A caption. {{#tbl-one}}
+
+::: {{#fig-later .absent}}
+Nothing yet.
+:::
+
+`````{{=html}}
+<figure id="vid-film"></figure>
+`````
+
+Compare @vid-film with @fig-later.
+"""
+
+
+def test_references_become_links_with_numbers_in_the_order_of_the_text():
+    text = manuscript.finish(TEXT)
+    for link in (
+        "[Figure\N{NO-BREAK SPACE}1](#fig-one){.ref}",
+        "[Figure\N{NO-BREAK SPACE}2](#vid-film){.ref}",
+        "[Table\N{NO-BREAK SPACE}1](#tbl-one){.ref}",
+        "[Equation\N{NO-BREAK SPACE}1](#eq-one){.ref}",
+        "[Section\N{NO-BREAK SPACE}2.1](#sec-second-part){.ref}",
+    ):
+        assert link in text
+    assert r"a = b\qquad (1) $$" in text
+    assert "[@mnih2015]" in text, "citations are pandoc's"
+
+
+def test_what_is_still_absent_has_no_number_but_can_be_referred_to():
+    assert "[figure still to come](#fig-later){.ref}" in manuscript.finish(TEXT)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (TEXT + "\nAnd @fig-nowhere.", "labels that do not exist: fig-nowhere"),
+        (TEXT + FIGURE, "labels given twice: fig-one"),
+        (TEXT.replace(' alt="A picture of something."', ""), "text alternative .*: fig-one"),
+        (TEXT.replace("A picture of something.", "Short."), "text alternative .*: fig-one"),
+    ],
+)
+def test_a_bad_label_or_a_silent_figure_fails_and_is_named(text, said):
+    with pytest.raises(RunError, match=said):
+        manuscript.finish(text)
+
+
+def test_what_the_report_does_not_show_fails_and_is_named(tmp_path):
+    path = tmp_path / "completeness.yaml"
+    path.write_text("figures:\n  - {what: a loop, labels: [fig-one]}\n")
+    manuscript.check_completeness(TEXT, path)
+    path.write_text("figures:\n  - {what: a ring, labels: [fig-ring]}\n")
+    with pytest.raises(RunError, match=r"figures: a ring \(fig-ring\)"):
+        manuscript.check_completeness(TEXT, path)
+    path.write_text("goals:\n  - {what: a goal, labels: []}\n")
+    with pytest.raises(RunError, match=r"goals: a goal \(no label\)"):
+        manuscript.check_completeness(TEXT, path)
