@@ -85,7 +85,7 @@ def killed_run(folder: Path, rng: random.Random) -> list[dict[str, object]]:
     while True:
         process = start(folder)
         try:
-            process.wait(rng.uniform(0.0, 3.0))
+            process.wait(rng.uniform(0.0, 8.0))
         except subprocess.TimeoutExpired:
             process.send_signal(signal.SIGKILL)
             process.wait()

@@ -70,7 +70,7 @@ def test_a_claim_about_games_not_yet_played_is_not_judged(tmp_path):
     for agent in ("dqn", "double_dqn", "dueling_double_dqn"):
         store(tmp_path, "boxing_final", agent, scores(50.0, games=1200))
     assert verdict(tmp_path, BEST).verdict == claims.NOT_YET
-    assert "1,200 of 3,000 games" in verdict(tmp_path, BEST).evidence
+    assert "`boxing_final`: 40% of its games" in verdict(tmp_path, BEST).evidence
     human = "All three agents exceed the human score in Boxing after 1,000 games"
     assert verdict(tmp_path, human).verdict == claims.SUPPORTED
 

@@ -36,7 +36,7 @@ def test_realised_values_are_the_discounted_clipped_returns_of_the_games_played(
     assert (check.episode, check.held_out_q, check.predicted) == (100, 7.0, 7.0)
     returns = []
     for number in range(evaluation.VALUE_GAMES):
-        table = evaluation._Table(parameters)
+        table = evaluation.Table(parameters)
         table.start(evaluation.VALUE_GAMES * 100 + number, seed=1)
         rewards, ended = [], False
         while not ended:

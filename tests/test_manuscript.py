@@ -49,7 +49,7 @@ def test_references_become_links_with_numbers_in_the_order_of_the_text():
         "[Section\N{NO-BREAK SPACE}2.1](#sec-second-part){.ref}",
     ):
         assert link in text
-    assert r"a = b\qquad (1) $$" in text
+    assert r"[$$a = b\qquad (1) $$]{#eq-one .equation}" in text
     assert "[@mnih2015]" in text, "citations are pandoc's"
 
 

@@ -11,7 +11,7 @@ import nbformat
 import papermill
 import pytest
 
-from atari_dqn import report, runs
+from atari_dqn import experiments, report, runs
 
 ROOT = Path(__file__).parents[1]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
@@ -63,20 +63,57 @@ def test_an_unknown_parameter_of_the_notebook_names_the_nearest_one(tmp_path):
 
 @pytest.fixture(scope="module")
 def built(tmp_path_factory):
-    """A smoke report, and the environment variables it was made with."""
+    """A smoke report of all experiments, made from nothing."""
     folder = tmp_path_factory.mktemp("report")
     os.environ["ATARI_DQN_STATE"] = str(folder / "state")
     return report.build("smoke", folder)
 
 
-def test_the_report_shows_every_agent_on_both_games(built):
+def test_the_report_has_every_section_and_every_experiment(built):
     html = (built / "index.html").read_text()
-    for words in ("Boxing", "Breakout", "Dueling Double DQN", "Double DQN"):
-        assert words in html
-    assert html.count("<figure") == 5
-    assert html.count("3 of 3 runs complete") == 2
+    for path in NOTEBOOKS[:-1]:
+        title = nbformat.read(path, as_version=4).cells[0].source
+        assert f'id="{re.search("{#(sec-[a-z-]+)}", title)[1]}"' in html, path
+    for name in experiments.ORDER:
+        assert name in html
     assert "SMOKE RUN, NOT EVIDENCE" in html
+    assert "runs complete" in html
     assert (built / "report.pdf").read_bytes().startswith(b"%PDF")
+
+
+def test_figures_say_where_they_come_from_and_curves_show_their_values(built):
+    html = (built / "index.html").read_text()
+    assert html.count('class="origin"') >= html.count("<figure")
+    hovers = re.findall(r'<script type="application/json" class="hover"[^>]*>(.*?)</script>', html)
+    assert hovers
+    for hover in map(json.loads, hovers):
+        assert 0 < hover["axes"]["left"] < hover["axes"]["left"] + hover["axes"]["width"] <= 1
+        assert all(len(curve["xs"]) == len(curve["ys"]) for curve in hover["curves"])
+
+
+def test_a_section_is_executed_again_only_if_something_of_its_own_changed(built):
+    notebooks = built.parent / "notebooks"
+    before = {path.name: path.stat().st_mtime_ns for path in notebooks.glob("*.ipynb")}
+    results = built.parent / "runs" / "breakout_early" / "dqn" / "seed-1" / "episodes.csv"
+    stored = results.read_bytes()
+    header, first, *rest = stored.decode().splitlines(keepends=True)
+    cells = first.split(",")
+    cells[3] = "857"  # the score
+    results.write_text(header + ",".join(cells) + "".join(rest))
+    html = (built / "index.html").read_text()
+    report.build("smoke", built.parent)
+    changed = {
+        path.name
+        for path in notebooks.glob("*.ipynb")
+        if path.stat().st_mtime_ns != before[path.name]
+    }
+    whole = {"00_summary.ipynb", "06_boxing_discount.ipynb", "07_results.ipynb"}
+    whole |= {"09_transfer.ipynb", "10_evaluation.ipynb", "11_appendix.ipynb"}
+    assert changed == {"03_breakout_early.ipynb"} | whole
+    assert "857" in (built / "index.html").read_text()
+    assert "857.00" not in html
+    results.write_bytes(stored)
+    report.build("smoke", built.parent)
 
 
 def test_the_page_needs_no_network(built):
@@ -90,6 +127,9 @@ def test_every_figure_has_a_text_alternative(built):
     images = re.findall(r"<img[^>]*>", (built / "index.html").read_text())
     assert images
     assert all(re.search(r'alt="[^"]{20,}"', image) for image in images)
+    films = re.findall(r"<video[^>]*>", (built / "index.html").read_text())
+    assert films
+    assert all(re.search(r'aria-label="[^"]{20,}"', film) for film in films)
 
 
 def test_rendering_again_gives_the_same_bytes(built):
@@ -103,10 +143,10 @@ def test_a_failing_section_is_named_and_the_last_report_stays(built, monkeypatch
     shutil.copytree(ROOT / "notebooks", tmp_path / "notebooks")
     shutil.copytree(ROOT / "params", tmp_path / "params")
     shutil.copy(ROOT / "pyproject.toml", tmp_path)
-    broken = tmp_path / "notebooks" / "07_boxing_final.ipynb"
+    broken = tmp_path / "notebooks" / "08_boxing_expert.ipynb"
     broken.write_text(broken.read_text().replace("section.badge()", "section.no_such_thing()"))
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(runs.RunError, match=r"07_boxing_final\.ipynb, cell 3: AttributeError"):
+    with pytest.raises(runs.RunError, match=r"08_boxing_expert\.ipynb, cell 3: AttributeError"):
         report.build("smoke", built.parent)
     assert (built / "index.html").read_bytes() == before
 

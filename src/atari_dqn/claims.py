@@ -35,14 +35,19 @@ def all_of(verdicts: list[Verdict]) -> Verdict:
     kinds = [verdict.verdict for verdict in verdicts]
     ranked = (CONTRADICTED, NOT_YET, INCONCLUSIVE, SUPPORTED)
     worst = next(kind for kind in ranked if kind in kinds)
-    return Verdict(worst, "; ".join(verdict.evidence for verdict in verdicts))
+    evidence = dict.fromkeys(
+        verdict.evidence
+        for verdict in verdicts
+        if worst != NOT_YET or verdict.verdict == NOT_YET  # what is there may change the picture
+    )
+    return Verdict(worst, "; ".join(evidence))
 
 
 def above(section: Section, agent: str, first: int, last: int, score: float) -> Verdict:
     """That an agent's games `first` to `last` score more than `score` on average."""
     scores = section.scores(agent, first, last)
-    if scores.empty:
-        return _not_yet(section, agent, last)
+    if len(scores) < 2:
+        return _not_yet(section)
     low, high = interval(scores.to_numpy())
     said = f"{runs.title(agent)} {scores.mean():.1f} ({low:.1f} to {high:.1f})"
     return Verdict(_side(low - score, high - score), f"{said} against {score:g}")
@@ -55,8 +60,8 @@ def better(
     scores = []
     for section, agent in zip(sections, agents, strict=True):
         scores.append(section.scores(agent, first, last))
-        if scores[-1].empty:
-            return _not_yet(section, agent, last)
+        if len(scores[-1]) < 2:
+            return _not_yet(section)
     low, high = difference(*(found.to_numpy() for found in scores))
     means = " against ".join(
         f"{runs.title(agent)} {found.mean():.1f}"
@@ -69,11 +74,8 @@ def better(
     return Verdict(_side(low, high), f"{means}, difference {low:.1f} to {high:.1f}")
 
 
-def _not_yet(section: Section, agent: str, games: int) -> Verdict:
-    done = section.episodes
-    played = 0 if done.empty else int((done.agent == agent).sum())
-    name = f"{section.params.experiment}, {runs.title(agent)}"
-    return Verdict(NOT_YET, f"{name}: {played:,} of {games:,} games")
+def _not_yet(section: Section) -> Verdict:
+    return Verdict(NOT_YET, f"`{section.params.experiment}`: {section.share:.0%} of its games")
 
 
 def _side(low: float, high: float) -> str:

@@ -129,9 +129,8 @@ def deviations() -> pd.DataFrame:
         [
             {
                 "no.": str(number),
-                "decision": f"**{entry['what']}.** `{entry['where']}`",
-                "source report": entry["source"],
-                "reason": entry["why"],
+                "decision, and why": f"**{entry['what']}** (`{entry['where']}`). "
+                f"*Source report:* {entry['source']} *Reason:* {entry['why']}",
             }
             for number, entry in enumerate(data("deviations"), start=1)
         ]

@@ -18,7 +18,8 @@ _LABEL = re.compile(r'(?:\{#|\bid=")((?:fig|vid|tbl|sec|eq)-[a-z0-9-]+)( \.absen
 _REFERENCE = re.compile(r"(?<![\w@-])@((?:fig|vid|tbl|sec|eq)-[a-z0-9]+(?:-[a-z0-9]+)*)")
 _HEADING = re.compile(r"^(#+) (.*)$", re.MULTILINE)
 _FENCED = re.compile(r"^(`{3,})[^`\n]*\n.*?^\1$", re.MULTILINE | re.DOTALL)
-_EQUATION = re.compile(r"\$\$\s*\{#(eq-[a-z0-9-]+)\}")
+_EQUATION = re.compile(r"\$\$((?:(?!\$\$).)+)\$\$\s*\{#(eq-[a-z0-9-]+)\}", re.DOTALL)
+_NUMBERED = re.compile(r"\$\$\]\{#(eq-[a-z0-9-]+)")
 _FIGURE = re.compile(
     r"^!\[[^\n]*\]\([^\n]*\)\{#(fig-[a-z0-9-]+)( alt=\"[^\"\n]{20,}\")?", re.MULTILINE
 )
@@ -30,7 +31,8 @@ def finish(text: str) -> str:
     Raises RunError if a label is given twice or referred to without existing, or if a figure has
     no text alternative.
     """
-    found = [match[1] for match in _LABEL.finditer(_EQUATION.sub(r"{#\1}", text))]
+    text = _EQUATION.sub(r"[$$\1$$]{#\2 .equation}", text)  # pandoc gives formulas no label
+    found = [match[1] for match in _LABEL.finditer(text)]
     twice = [label for label, count in Counter(found).items() if count > 1]
     if twice:
         raise RunError(f"labels given twice: {', '.join(twice)}")
@@ -41,7 +43,7 @@ def finish(text: str) -> str:
     unknown = {match[1] for match in _REFERENCE.finditer(text)} - set(numbers)
     if unknown:
         raise RunError(f"references to labels that do not exist: {', '.join(sorted(unknown))}")
-    text = _EQUATION.sub(lambda match: rf"\qquad ({numbers[match[1]]}) $$", text)
+    text = _NUMBERED.sub(lambda match: rf"\qquad ({numbers[match[1]]}) $$]{{#{match[1]}", text)
     return _REFERENCE.sub(lambda match: _link(match[1], numbers[match[1]]), text)
 
 
@@ -72,7 +74,7 @@ def _numbers(text: str) -> dict[str, str]:
     """{label: number}, counted in the order of the text; absent ones are not counted."""
     counts: Counter[str] = Counter()
     numbers = {}
-    for match in _LABEL.finditer(_EQUATION.sub(r"{#\1}", text)):
+    for match in _LABEL.finditer(text):
         kind = KINDS[match[1].partition("-")[0]]
         if kind == "Section":
             continue

@@ -131,11 +131,13 @@ def _typeset(text: str, stamp: str, made: Path) -> None:
     bibliography = root / "notebooks" / "references.bib"
     shared = [
         "--standalone",
+        "--fail-if-warnings",  # such as a citation of nothing
         "--columns=10000",  # no table line is too long for columns as wide as their contents
         "--citeproc",
         f"--bibliography={bibliography}",
         f"--resource-path={made}",
         "--number-sections",
+        f"--lua-filter={TEMPLATES / 'report.lua'}",
         f"--metadata=title:{TITLE}",
         f"--metadata=subtitle:{SUBTITLE}",
         "--metadata=lang:en-GB",
@@ -147,6 +149,8 @@ def _typeset(text: str, stamp: str, made: Path) -> None:
         "--embed-resources",
         "--mathml",
         "--toc",
+        "--toc-depth=2",
+        f"--variable=script:{(TEMPLATES / 'report.js').read_text(encoding='utf-8')}",
         f"--css={TEMPLATES / 'report.css'}",
         *([f"--metadata=stamp:{stamp}"] if stamp else []),
         f"--template={TEMPLATES / 'report.html'}",

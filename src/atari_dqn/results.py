@@ -167,8 +167,11 @@ def show_variations(section: Section, reference: Section, agent: str) -> None:
         for name, found in last.groupby("variation", sort=False)
         if len(found) > 1
     ]
+    if not rows:
+        show_absent(table, "No variation has played enough games for a mean.")
+        return
     show_table(
-        pd.DataFrame(rows).replace({np.nan: None}),
+        pd.DataFrame(rows),
         label=table,
         caption=f"{section.facts.title}, `{section.params.experiment}`: training scores with "
         "exploration. Intervals are over games of one run (bootstrap), not over seeds.",

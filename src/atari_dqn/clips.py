@@ -1,0 +1,116 @@
+"""The films that the report shows: of which runs, which games, and what their captions say."""
+
+import pandas as pd
+from torch import nn
+
+from atari_dqn import evaluation, films, runs
+from atari_dqn.exhibits import show_absent, show_film
+from atari_dqn.films import Film
+from atari_dqn.runs import Run
+from atari_dqn.sections import Section
+
+GAME = 0  # the number of the evaluation game that is filmed, where nothing decides otherwise
+ALT = "A film of {}: the game, what the network sees, the value of every action and the score."
+
+
+def _network(run: Run, games: int) -> nn.Module:
+    return evaluation.load_model(run.models()[games], run.params)
+
+
+def _scored(film: Film) -> str:
+    return " and ".join(f"{game.score:g} points" for game in film.games)
+
+
+def _newest(section: Section) -> list[tuple[Run, int]]:
+    """The runs that have a model, with the games behind the newest."""
+    return [(run, max(run.models())) for run in section.usable if run.models()]
+
+
+def show_best(section: Section, label: str, seconds: int) -> None:
+    """The first seconds of a game by the run that scored best of late."""
+    stored = _newest(section)
+    if not stored:
+        show_absent(label, "A film follows the first stored model.")
+        return
+    recent = section.episodes.groupby(["agent", "seed"]).tail(100)
+    means = recent.groupby(["agent", "seed"]).score.mean()
+    run, games = max(stored, key=lambda item: means[item[0].agent, item[0].seed])
+    network = _network(run, games)
+    title = f"{runs.title(run.agent)}, {games:,} games"
+    film = films.play_with_instruments(network, run.params, title, run.seed, GAME, (None, seconds))
+    show_film(
+        film,
+        label=label,
+        caption=f"{runs.title(run.agent)} after {games:,} training games: the first {seconds} "
+        f"seconds of a bout that ends with {_scored(film)}. Right: what the network sees, and the "
+        "value it gives each action.",
+        alt=ALT.format(section.facts.title),
+        data=str(run.name),
+    )
+
+
+def show_early_and_late(section: Section, label: str) -> None:
+    """The same agent on the same game, early in its training and late."""
+    for run in section.usable:
+        models = run.models()
+        if len(models) > 1:
+            break
+    else:
+        show_absent(label, "A film follows when a run has stored an early and a later model.")
+        return
+    chosen = (min(models), max(models))
+    contestants = {f"{games:,} games": (_network(run, games), run.params) for games in chosen}
+    film = films.side_by_side(contestants, run.seed, GAME, seconds=(None, 30))
+    show_film(
+        film,
+        label=label,
+        caption=f"{runs.title(run.agent)} after {chosen[0]:,} and {chosen[1]:,} training games, on "
+        f"the same game; the first 30 seconds. The bouts end with {_scored(film)}.",
+        alt=ALT.format(f"one agent twice in {section.facts.title}, early and late"),
+        data=run.name,
+    )
+
+
+def show_side_by_side(section: Section, label: str) -> None:
+    """Every agent's newest model on the same game."""
+    newest = {run.agent: (run, games) for run, games in reversed(_newest(section))}
+    if len(newest) < 2:
+        show_absent(label, "A film follows when two agents have a stored model.")
+        return
+    contestants = {
+        f"{runs.title(agent)}, {games:,}": (_network(run, games), run.params)
+        for agent, (run, games) in sorted(newest.items())
+    }
+    seed = next(iter(newest.values()))[0].seed
+    film = films.side_by_side(contestants, seed, GAME, seconds=(None, 30))
+    show_film(
+        film,
+        label=label,
+        caption="The agents on the same game, each with its newest model and the training games "
+        f"behind it; the first 30 seconds. The bouts end with {_scored(film)}.",
+        alt=ALT.format(f"the agents side by side in {section.facts.title}"),
+        data=section.origin,
+    )
+
+
+def show_knockout(section: Section, label: str) -> None:
+    """The last seconds of the first evaluation game that was won by knock-out."""
+    table = section.evaluations
+    won = table[table.knockout == 1] if not table.empty else pd.DataFrame()
+    if won.empty:
+        show_absent(label, "A film follows the first evaluation game won by knock-out.")
+        return
+    game = won.iloc[0]
+    run = next(run for run in section.runs if (run.agent, run.seed) == (game.agent, game.seed))
+    games = max(run.models())
+    title = f"{runs.title(run.agent)}, {games:,} games"
+    network, number = _network(run, games), int(game.game)
+    film = films.play_with_instruments(network, run.params, title, run.seed, number, (-15, None))
+    show_film(
+        film,
+        label=label,
+        caption=f"A knock-out by {runs.title(run.agent)} after {games:,} training games: the last "
+        f"15 seconds of evaluation game {number}, which ends with {_scored(film)}.",
+        alt=ALT.format("a knock-out"),
+        data=run.name,
+    )
