@@ -1,7 +1,6 @@
 import numpy as np
 import pandas as pd
 import pytest
-
 from scipy import stats
 
 from atari_dqn import statistics

@@ -45,8 +45,8 @@ def show_throughput() -> None:
     show_text(
         f"With DQN this project makes {ours.steps_per_second:.0f} agent steps a second, "
         f"{ours.ratio_to_best_peer:.2f} times the fastest peer in that peer's best set-up. That is "
-        f"{ours.share_of_roofline:.0%} of the machine's *roofline*: of the speed that it would have "
-        "if it did nothing but the necessary arithmetic at its processor's highest speed "
+        f"{ours.share_of_roofline:.0%} of the machine's *roofline*, the speed it would have if it "
+        "did nothing but the necessary arithmetic at its processor's highest speed "
         f"({machine['float32_gflops_a_core']:.0f} billion operations a second and core) and the "
         "emulation."
     )

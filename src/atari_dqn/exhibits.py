@@ -62,8 +62,11 @@ def show_film(film: Film, label: str, caption: str, alt: str, data: str = "") ->
         "video": base64.b64encode(film.video).decode(),
         "poster": base64.b64encode(film.poster).decode(),
     }
-    strip = base64.b64encode(film.strip).decode()
-    display({"image/png": strip}, metadata={"image/png": meta}, raw=True)
+    bundle = {
+        "text/html": f'<video controls loop src="data:video/mp4;base64,{meta["video"]}"></video>',
+        "image/png": base64.b64encode(film.strip).decode(),  # what the report is made from
+    }
+    display(bundle, metadata={"image/png": meta}, raw=True)
 
 
 def show_table(table: pd.DataFrame, label: str, caption: str, decimals: int = 2) -> None:

@@ -24,7 +24,7 @@ def fingerprint(notebook: Path, profile: str, results: Path) -> str:
     )
     digest = hashlib.sha256(f"{profile}\n{results.resolve()}\n{source}".encode())
     for path in [*_modules(code), *_data(notebook), *_stored(code, profile, results)]:
-        digest.update(f"{path}\n".encode())
+        digest.update(f"{path.parent.name}/{path.name}\n".encode())
         digest.update(path.read_bytes())
     return digest.hexdigest()
 
