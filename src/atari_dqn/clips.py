@@ -4,6 +4,7 @@ import pandas as pd
 from torch import nn
 
 from atari_dqn import evaluation, films, runs
+from atari_dqn.agents import AGENTS
 from atari_dqn.exhibits import show_absent, show_film
 from atari_dqn.films import Film
 from atari_dqn.runs import Run
@@ -18,7 +19,9 @@ def _network(run: Run, games: int) -> nn.Module:
 
 
 def _scored(film: Film) -> str:
-    return " and ".join(f"{game.score:g} points" for game in film.games)
+    *first, last = (f"{game.score:g}" for game in film.games)
+    listed = f"{', '.join(first)} and {last}" if first else last
+    return f"{listed} points".replace("-", "−")
 
 
 def _newest(section: Section) -> list[tuple[Run, int]]:
@@ -79,7 +82,7 @@ def show_side_by_side(section: Section, label: str) -> None:
         return
     contestants = {
         f"{runs.title(agent)}, {games:,}": (_network(run, games), run.params)
-        for agent, (run, games) in sorted(newest.items())
+        for agent, (run, games) in ((name, newest[name]) for name in AGENTS if name in newest)
     }
     seed = next(iter(newest.values()))[0].seed
     film = films.side_by_side(contestants, seed, GAME, seconds=(None, 30))
