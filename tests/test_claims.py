@@ -30,8 +30,12 @@ def store(results, experiment, agent, scores):
     state = "complete" if len(scores) >= run.params.episodes else "interrupted"
     status = {"state": state, "episodes_done": len(scores), "episodes": run.params.episodes}
     (run.folder / "status.json").write_text(json.dumps(status))
-    identity = {"training_version": TRAINING_VERSION, "identity": run.params.identity()}
-    (run.folder / "provenance.json").write_text(json.dumps(identity))
+    provenance = {
+        "training_version": TRAINING_VERSION,
+        "identity": run.params.identity(),
+        "sessions": [{}],
+    }
+    (run.folder / "provenance.json").write_text(json.dumps(provenance))
     return run
 
 
@@ -51,7 +55,7 @@ def test_without_runs_every_claim_is_not_yet_run(tmp_path):
     study = Study("full", str(tmp_path))
     assert set(claims.findings(study).verdict) == {claims.NOT_YET}
     assert set(claims.goals(study).verdict) == {claims.NOT_YET}
-    assert "No run is stored yet" in claims.headline(study)
+    assert "Training has only begun: 0 of" in claims.headline(study)
 
 
 @pytest.mark.parametrize(

@@ -20,6 +20,7 @@ from atari_dqn.statistics import difference, interval
 SUPPORTED, CONTRADICTED = "supported", "contradicted"
 INCONCLUSIVE, NOT_YET = "inconclusive", "not yet run"
 DQN, DOUBLE, DUELING = AGENTS
+REFINED = [DOUBLE, DUELING]
 
 
 @dataclass(frozen=True)
@@ -113,13 +114,13 @@ def ordered(study: Study, experiment: str, best: str, others: list[str], mark: i
     return all_of([better((section, section), (best, other), *games) for other in others])
 
 
-def between(study: Study, first: str, second: str) -> Verdict:
-    """Every agent scores more in the first experiment than in the second, at the last games of
-    the shorter one."""
+def between(study: Study, first: str, second: str) -> list[Verdict]:
+    """That an agent scores more in the first experiment than in the second, at the last games of
+    the shorter one: a verdict for every agent."""
     pair = (study[first], study[second])
     games = _last(min(pair, key=lambda section: section.params.episodes))
     agents = [agent for agent in pair[0].params.agents if agent in pair[1].params.agents]
-    return all_of([better(pair, (agent, agent), *games) for agent in agents])
+    return [better(pair, (agent, agent), *games) for agent in agents]
 
 
 def overestimation(study: Study, experiment: str) -> Verdict:
@@ -156,66 +157,13 @@ def beaten_everywhere(study: Study) -> Verdict:
     return all_of(parts)
 
 
-def table(claims: dict[str, Callable[[], Verdict]]) -> pd.DataFrame:
+def table(claims: dict[str, Callable[[Study], Verdict]], study: Study) -> pd.DataFrame:
     """A row a claim: what is claimed, the verdict, the evidence."""
     rows = []
     for claim, judge in claims.items():
-        verdict = judge()
+        verdict = judge(study)
         rows.append({"claim": claim, "verdict": verdict.verdict, "evidence": verdict.evidence})
     return pd.DataFrame(rows)
-
-
-def findings(study: Study) -> pd.DataFrame:
-    """The source report's findings and interpretations (its section 2.1) and what it says along
-    the way, in our words."""
-    others = [DOUBLE, DUELING]
-    return table(
-        {
-            "All three agents exceed the human score in Boxing after 1,000 games": lambda: (
-                human_level(study, "boxing_final", mark=2)
-            ),
-            "Double and Dueling Double DQN end above DQN in Boxing": lambda: all_of(
-                [ordered(study, "boxing_final", agent, [DQN], 6) for agent in others]
-            ),
-            "Dueling Double DQN is the best of the first 500 games in both games": lambda: all_of(
-                [
-                    ordered(study, name, DUELING, [DQN, DOUBLE], 1)
-                    for name in ("boxing_final", "breakout_final")
-                ]
-            ),
-            "Double DQN ends highest in Boxing": lambda: ordered(
-                study, "boxing_final", DOUBLE, [DQN, DUELING], 6
-            ),
-            "Double DQN ends lowest in Breakout": lambda: all_of(
-                [ordered(study, "breakout_final", agent, [DOUBLE], 6) for agent in (DQN, DUELING)]
-            ),
-            "Double DQN overestimates less than DQN in Boxing": lambda: overestimation(
-                study, "boxing_final"
-            ),
-            "DQN is the best of the later Breakout experiment": lambda: ordered(
-                study, "breakout_late", DQN, others, 6
-            ),
-            "Breakout improves when a lost life costs reward (and batches are larger)": lambda: (
-                between(study, "breakout_final", "breakout_late")
-            ),
-            "A tenfold learning rate learns less in Boxing": lambda: between(
-                study, "boxing_final", "boxing_early"
-            ),
-            "A discount of 0.9 plays worse than 0.99": lambda: between(
-                study, "boxing_final", "boxing_low_gamma"
-            ),
-            "A discount of 0.995 plays worse than 0.99": lambda: between(
-                study, "boxing_final", "boxing_high_gamma"
-            ),
-            "All agents score more in expert mode": lambda: between(
-                study, "boxing_expert", "boxing_final"
-            ),
-            "Starting from a Breakout agent does not help in Boxing": lambda: negated(
-                between(study, "boxing_transfer", "boxing_final")
-            ),
-            "The opponent is beaten at every difficulty": lambda: beaten_everywhere(study),
-        }
-    )
 
 
 def negated(verdict: Verdict) -> Verdict:
@@ -224,23 +172,79 @@ def negated(verdict: Verdict) -> Verdict:
     return Verdict(opposite.get(verdict.verdict, verdict.verdict), verdict.evidence)
 
 
+# The source report's findings and interpretations (its section 2.1) and what it says along the
+# way, in our words, each with its judge.
+FINDINGS: dict[str, Callable[[Study], Verdict]] = {
+    "All three agents exceed the human score in Boxing after 1,000 games": lambda study: (
+        human_level(study, "boxing_final", mark=2)
+    ),
+    "Double and Dueling Double DQN end above DQN in Boxing": lambda study: all_of(
+        [ordered(study, "boxing_final", agent, [DQN], 6) for agent in REFINED]
+    ),
+    "Dueling Double DQN is the best of the first 500 games in both games": lambda study: all_of(
+        [
+            ordered(study, name, DUELING, [DQN, DOUBLE], 1)
+            for name in ("boxing_final", "breakout_final")
+        ]
+    ),
+    "Double DQN ends highest in Boxing": lambda study: ordered(
+        study, "boxing_final", DOUBLE, [DQN, DUELING], 6
+    ),
+    "Double DQN ends lowest in Breakout": lambda study: all_of(
+        [ordered(study, "breakout_final", agent, [DOUBLE], 6) for agent in (DQN, DUELING)]
+    ),
+    "Double DQN overestimates less than DQN in Boxing": lambda study: overestimation(
+        study, "boxing_final"
+    ),
+    "DQN is the best of the later Breakout experiment": lambda study: ordered(
+        study, "breakout_late", DQN, REFINED, 6
+    ),
+    "Breakout improves when a lost life costs reward (and batches are larger)": lambda study: (
+        all_of(between(study, "breakout_final", "breakout_late"))
+    ),
+    "A tenfold learning rate learns less in Boxing": lambda study: all_of(
+        between(study, "boxing_final", "boxing_early")
+    ),
+    "A discount of 0.9 plays worse than 0.99": lambda study: all_of(
+        between(study, "boxing_final", "boxing_low_gamma")
+    ),
+    "A discount of 0.995 plays worse than 0.99": lambda study: all_of(
+        between(study, "boxing_final", "boxing_high_gamma")
+    ),
+    "All agents score more in expert mode": lambda study: all_of(
+        between(study, "boxing_expert", "boxing_final")
+    ),
+    "Starting from a Breakout agent does not help in Boxing": lambda study: all_of(
+        [negated(helps) for helps in between(study, "boxing_transfer", "boxing_final")]
+    ),
+    "The opponent is beaten at every difficulty": lambda study: beaten_everywhere(study),
+}
+
+
+def findings(study: Study) -> pd.DataFrame:
+    """The verdicts on `FINDINGS`."""
+    return table(FINDINGS, study)
+
+
+# The source report's four goals (its section 2.2).
+GOALS: dict[str, Callable[[Study], Verdict]] = {
+    "Human level in Boxing with each agent": lambda study: human_level(study, "boxing_final"),
+    "Human level in Breakout with each agent": lambda study: human_level(study, "breakout_final"),
+    "Comparable data for three agents and two games": lambda study: _finished(
+        study, ["boxing_final", "breakout_final"]
+    ),
+    "How hyper-parameters change performance": lambda study: _finished(
+        study, ["boxing_sensitivity", "boxing_low_gamma", "boxing_high_gamma"]
+    ),
+    "How well transfer from Breakout to Boxing works": lambda study: _finished(
+        study, ["boxing_transfer", "boxing_transfer_controls"]
+    ),
+}
+
+
 def goals(study: Study) -> pd.DataFrame:
-    """The source report's four goals (its section 2.2)."""
-    return table(
-        {
-            "Human level in Boxing with each agent": lambda: human_level(study, "boxing_final"),
-            "Human level in Breakout with each agent": lambda: human_level(study, "breakout_final"),
-            "Comparable data for three agents and two games": lambda: _finished(
-                study, ["boxing_final", "breakout_final"]
-            ),
-            "How hyper-parameters change performance": lambda: _finished(
-                study, ["boxing_sensitivity", "boxing_low_gamma", "boxing_high_gamma"]
-            ),
-            "How well transfer from Breakout to Boxing works": lambda: _finished(
-                study, ["boxing_transfer", "boxing_transfer_controls"]
-            ),
-        }
-    )
+    """The verdicts on `GOALS`."""
+    return table(GOALS, study)
 
 
 def _finished(study: Study, names: list[str]) -> Verdict:
@@ -252,31 +256,42 @@ def _finished(study: Study, names: list[str]) -> Verdict:
     return Verdict(SUPPORTED if done else NOT_YET, f"{share:.0%} of the games played ({said})")
 
 
+EARLY = 500  # games, before which an agent still acts mostly at random
+
+
 def headline(study: Study) -> str:
     """One paragraph: how far the runs are, and how the claims stand."""
     section = study["boxing_final"]
     judged = findings(study).verdict.value_counts()
     done = judged.drop(NOT_YET, errors="ignore")
-    share = np.mean([each.share for each in study.sections.values()])
-    if section.episodes.empty:
-        text = "No run is stored yet."
+    played = sum(len(each.episodes) for each in study.sections.values())
+    planned = sum(len(each.runs) * each.params.episodes for each in study.sections.values())
+    best, games, score = _best(section)
+    if games < min(EARLY, section.params.episodes):
+        text = f"Training has only begun: {played:,} of {planned:,} planned games are played."
     else:
-        window = section.mark_window
-        recent = section.episodes.groupby(["agent", "seed"]).tail(min(100, window))
-        means = recent.groupby("agent").score.mean()
-        best = str(means.idxmax())
-        games = int(section.episodes[section.episodes.agent == best].episode.max())
-        level = "above" if means[best] > section.facts.human else "below"
+        level = "above" if score > section.facts.human else "below"
         text = (
-            f"After {games:,} games of Boxing the best agent so far, {runs.title(best)}, scores "
-            f"{means[best]:.1f} points a game while still exploring, {level} the human reference "
-            f"of {section.facts.human:g}."
+            f"After {games:,} games of Boxing the best agent so far, {best}, scores {score:.1f} "
+            f"points a game while still exploring, {level} the human reference of "
+            f"{section.facts.human:g} (random play: {section.facts.random:g})."
         )
     counted = ", ".join(f"{number} {verdict}" for verdict, number in done.items()) or "none yet"
     return (
-        f"**{text}** Of {judged.sum()} claims of the source report that our runs can judge, "
-        f"{done.sum()} are judged so far ({counted}); {share:.0%} of the planned games are played."
+        f"**{text}** Of {judged.sum()} claims of the source report that runs can judge, "
+        f"{done.sum()} are judged so far ({counted})."
     )
+
+
+def _best(section: Section) -> tuple[str, int, float]:
+    """The agent with the best mean of late, its games, and that mean over its last 100 games."""
+    if section.episodes.empty:
+        return "", 0, 0.0
+    recent = section.episodes.groupby(["agent", "seed"]).tail(100)
+    means = recent.groupby(["agent", "seed"]).score.mean()
+    agent, seed = means.idxmax()
+    own = section.episodes[(section.episodes.agent == agent) & (section.episodes.seed == seed)]
+    return runs.title(agent), int(own.episode.max()), float(means.max())
 
 
 def cards(study: Study) -> str:
@@ -284,18 +299,23 @@ def cards(study: Study) -> str:
     section = study["boxing_final"]
     games = sum(len(each.episodes) for each in study.sections.values())
     judged = findings(study).verdict
-    best = "–"
-    if not section.episodes.empty:
-        recent = section.episodes.groupby(["agent", "seed"]).tail(100)
-        best = f"{recent.groupby(['agent', 'seed']).score.mean().max():.1f}"
+    _, played, score = _best(section)
+    window = min(100, played)
     numbers = [
-        (best, "points in Boxing: the best mean of a run's last 100 training games"),
+        (f"{score:.1f}", f"points in Boxing: the best mean of a run's last {window} games")
+        if played
+        else ("–", "points in Boxing: no game is stored yet"),
         (f"{section.facts.human:g}", "points: a human tester's mean"),
         (f"{games:,}", "training games stored"),
         (f"{(judged != NOT_YET).sum()} of {len(judged)}", "claims of the source report judged"),
     ]
     cells = "\n".join(f"::: {{}}\n**{number}** {what}\n:::" for number, what in numbers)
     return f":::: {{.card}}\n{cells}\n::::"
+
+
+def list_of_findings() -> str:
+    """The claims as a list, for a reader who has not seen the source report."""
+    return "\n".join(f"{number}. {claim}." for number, claim in enumerate(FINDINGS, start=1))
 
 
 OBJECTIVES = {

@@ -5,7 +5,7 @@ from torch import nn
 
 from atari_dqn import evaluation, films, runs
 from atari_dqn.agents import AGENTS
-from atari_dqn.exhibits import show_absent, show_film
+from atari_dqn.exhibits import hold_places, show_film
 from atari_dqn.films import Film
 from atari_dqn.runs import Run
 from atari_dqn.sections import Section
@@ -33,7 +33,7 @@ def show_best(section: Section, label: str, seconds: int) -> None:
     """The first seconds of a game by the run that scored best of late."""
     stored = _newest(section)
     if not stored:
-        show_absent(label, "A film follows the first stored model.")
+        hold_places(label)
         return
     recent = section.episodes.groupby(["agent", "seed"]).tail(100)
     means = recent.groupby(["agent", "seed"]).score.mean()
@@ -59,7 +59,7 @@ def show_early_and_late(section: Section, label: str) -> None:
         if len(models) > 1:
             break
     else:
-        show_absent(label, "A film follows when a run has stored an early and a later model.")
+        hold_places(label)
         return
     chosen = (min(models), max(models))
     contestants = {f"{games:,} games": (_network(run, games), run.params) for games in chosen}
@@ -78,7 +78,7 @@ def show_side_by_side(section: Section, label: str) -> None:
     """Every agent's newest model on the same game."""
     newest = {run.agent: (run, games) for run, games in reversed(_newest(section))}
     if len(newest) < 2:
-        show_absent(label, "A film follows when two agents have a stored model.")
+        hold_places(label)
         return
     contestants = {
         f"{runs.title(agent)}, {games:,}": (_network(run, games), run.params)
@@ -101,7 +101,7 @@ def show_knockout(section: Section, label: str) -> None:
     table = section.evaluations
     won = table[table.knockout == 1] if not table.empty else pd.DataFrame()
     if won.empty:
-        show_absent(label, "A film follows the first evaluation game won by knock-out.")
+        hold_places(label)
         return
     game = won.iloc[0]
     run = next(run for run in section.runs if (run.agent, run.seed) == (game.agent, game.seed))

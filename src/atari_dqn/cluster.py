@@ -5,123 +5,153 @@ workers share a $ATARI_DQN_STATE, a run whose worker is lost resumes on another 
 checkpoint; where they do not, it starts again.
 """
 
+import hashlib
+import json
 import time
-import uuid
+from contextlib import ExitStack
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from distributed import Client, Event, Future, as_completed, get_worker
+from distributed import Client, Future, as_completed, get_worker
+from distributed.core import Status
 from tqdm import tqdm
 
 from atari_dqn import experiments, params, recording, runs
+from atari_dqn.params import TRAINING_VERSION
 from atari_dqn.runs import Run, RunError
 
-CONNECT_SECONDS, STOP_POLL_SECONDS = 20, 5
+CONNECT_SECONDS, STOP_POLL_SECONDS = 20, 2
+HANDOVER_SECONDS = 120  # for which a run waits until the worker that had it before lets it go
 
 
 def train_all(wanted: list[Run], scheduler: str) -> list[str]:
     """Trains every run that is not complete on the cluster of the `scheduler` at tcp://host:port.
 
-    One failing run does not stop the others; returns a line for each that failed. Ctrl-C makes the
-    workers save and stop, and raises KeyboardInterrupt. Raises RunError if no scheduler answers.
+    One failing run does not stop the others; returns a line for each that failed. Ctrl-C and
+    SIGTERM make the workers save and stop, and raise KeyboardInterrupt. Raises RunError if no
+    scheduler answers.
     """
     try:
         client = Client(scheduler, timeout=CONNECT_SECONDS)
     except (OSError, ValueError) as error:
         raise RunError(f"--scheduler {scheduler!r}: no Dask scheduler answers ({error})") from None
-    with client:
+    with client, experiments.stopping_on_sigterm():
         return _train_all(client, [run for run in wanted if run.state() != runs.COMPLETE])
 
 
 def _train_all(client: Client, pending: list[Run]) -> list[str]:
-    stop = Event(f"stop-{uuid.uuid4().hex}", client)
-    active: dict[Future, Run] = {}
+    active: dict[Future, tuple[Run, ExitStack]] = {}
     finished = as_completed()
     failures: list[str] = []
 
     def submit_ready() -> None:
-        while run := experiments.take_ready(pending):
-            key = f"{run.name}-{run.params.identity()[:8]}"  # a second client's would be this task
-            future = client.submit(
-                _train, run.params.model_dump(), _inputs(run), stop.name, key=key
-            )
-            active[future] = run
-            finished.add(future)
+        while run := experiments.take_ready(pending, [run for run, _ in active.values()]):
+            with ExitStack() as stack:
+                try:
+                    stack.enter_context(run.lock(run.folder))  # no other runner here takes it too
+                except RunError as error:
+                    failures.append(str(error))
+                    continue
+                values = run.params.model_dump()
+                source = _source(run)
+                future = client.submit(_train, values, source, TRAINING_VERSION, key=_key(run))
+                active[future] = run, stack.pop_all()
+                finished.add(future)
 
     try:
         submit_ready()
         while active:
             future = next(finished)
-            run = active.pop(future)
-            if future.status == "finished":
-                _store(run, future.result())
-                tqdm.write(f"{run.name} is complete")
-            else:
-                failures.append(_failure(run, future))
+            run, lock = active.pop(future)
+            with lock:
+                failures += _outcome(run, future)
             submit_ready()
-    except KeyboardInterrupt:
-        stop.set()
-        for future in active:
-            future.exception()  # waits until its worker has saved
-        raise
+    finally:
+        client.cancel(list(active))  # their workers notice, save and stop
+        for _, lock in active.values():
+            lock.close()
     return failures + experiments.left_waiting(pending)
 
 
-def _inputs(run: Run) -> dict[str, bytes]:
-    """What the worker needs of the results folder: what is stored of the run, and its source."""
+def _key(run: Run) -> str:
+    """A second client that wants the very same run shares the task."""
+    values = json.dumps([TRAINING_VERSION, run.params.model_dump()], sort_keys=True)
+    return f"{run.name}-{hashlib.sha256(values.encode()).hexdigest()[:12]}"
+
+
+def _source(run: Run) -> dict[str, bytes]:
+    """The files of the run that this one starts from, if any."""
     source = run.source()
-    folders = [run.folder] if source is None else [run.folder, source.folder]
-    return _read(folders, run.results)
+    return {} if source is None else _read(source.folder, run.results)
 
 
-def _read(folders: list[Path], root: Path) -> dict[str, bytes]:
+def _read(folder: Path, root: Path) -> dict[str, bytes]:
     return {
         str(path.relative_to(root)): path.read_bytes()
-        for folder in folders
         for path in sorted(folder.rglob("*"))
         if path.is_file() and not path.name.startswith(".")
     }
 
 
+def _outcome(run: Run, future: Future) -> list[str]:
+    """Stores what came back; a line on what went wrong, if anything did."""
+    if future.status == "cancelled":
+        return [f"{run.name}: the scheduler was lost"]
+    if future.status == "error":
+        error = future.exception()
+        return [str(error) if isinstance(error, RunError) else f"{run.name}: {error!r}"]
+    try:
+        _store(run, future.result())
+    except OSError as error:
+        return [f"{run.name} is complete, but cannot be stored: {error}"]
+    tqdm.write(f"{run.name} is complete")
+    return []
+
+
 def _store(run: Run, files: dict[str, bytes]) -> None:
     """Puts a complete run into the results folder, its status last."""
-    with run.lock():
-        for name in sorted(files, key=lambda name: name.endswith("status.json")):
-            path = run.results / name
-            path.parent.mkdir(parents=True, exist_ok=True)
-            runs.write_atomically(path, files[name])
+    for name in sorted(files, key=lambda name: name.endswith("status.json")):
+        path = run.results / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        runs.write_atomically(path, files[name])
 
 
-def _failure(run: Run, future: Future) -> str:
-    error = future.exception()
-    return str(error) if isinstance(error, RunError) else f"{run.name}: {error!r}"
-
-
-def _train(values: dict[str, Any], inputs: dict[str, bytes], stop: str) -> dict[str, bytes]:
+def _train(values: dict[str, Any], source: dict[str, bytes], version: int) -> dict[str, bytes]:
     """What a worker does with a run; returns the finished run's files."""
-    if get_worker().state.nthreads > 1:
+    worker = get_worker()
+    if worker.state.nthreads > 1:
         raise RunError("a run needs a process of its own: start the workers with --nthreads 1")
-    with TemporaryDirectory() as folder:
+    if version != TRAINING_VERSION:
+        raise RunError(
+            f"this worker has training version {TRAINING_VERSION}, the runner has {version}"
+        )
+    with TemporaryDirectory(dir=worker.local_directory) as folder:
         run = Run(params.parse(values, "cluster"), Path(folder))
-        for name, data in inputs.items():
+        for name, data in source.items():
             path = run.results / name
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(data)
         try:
-            recording.train(run, asked_to_stop=_Poll(Event(stop)))
+            recording.train(run, asked_to_stop=_Unwanted(), patience=HANDOVER_SECONDS)
         except KeyboardInterrupt:
             raise RunError(f"{run.name} was stopped") from None
-        return _read([run.folder], run.results)
+        return _read(run.folder, run.results)
 
 
-class _Poll:
-    """Whether an event is set, asked of the scheduler every few seconds only."""
+class _Unwanted:
+    """Whether this worker's task was cancelled, or the worker is shutting down; asked in its
+    thread, a look every few seconds."""
 
-    def __init__(self, event: Event):
-        self.event, self.asked_at, self.is_set = event, time.monotonic(), False
+    def __init__(self) -> None:
+        self.worker, self.key = get_worker(), get_worker().get_current_task()
+        self.asked_at, self.answer = 0.0, False
 
     def __call__(self) -> bool:
-        if not self.is_set and time.monotonic() - self.asked_at >= STOP_POLL_SECONDS:
-            self.is_set, self.asked_at = self.event.is_set(), time.monotonic()
-        return self.is_set
+        now = time.monotonic()
+        if not self.answer and now - self.asked_at >= STOP_POLL_SECONDS:
+            task = self.worker.state.tasks.get(self.key)
+            wanted = task is not None and task.state != "cancelled"
+            alive = self.worker.status in (Status.running, Status.paused)
+            self.answer, self.asked_at = not (wanted and alive), now
+        return self.answer

@@ -34,6 +34,11 @@ def show_absent(label: str, why: str) -> None:
     show_text(f"::: {{#{label} .absent}}\n{why}\n:::")
 
 
+def hold_places(*labels: str) -> None:
+    """Holds the places of figures and tables without a word, where a badge has said it all."""
+    show_text(" ".join(f"[]{{#{label} .absent}}" for label in labels))
+
+
 def show_figure(
     figure: Figure,
     label: str,

@@ -5,6 +5,8 @@ import os
 import signal
 import sys
 import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnContext
 from pathlib import Path
@@ -41,14 +43,17 @@ def files(profile: str) -> list[Path]:
 
 
 def planned(profile: str, names: list[str], results: Path | None) -> list[Run]:
-    """Every run of the named experiments, or of all. Raises ParameterError on an unknown name."""
+    """Every run of the named experiments, in that order, or of all.
+
+    Raises ParameterError on an unknown name.
+    """
     available = {path.stem: path for path in files(profile)}
     for name in names:
         if name not in available:
             raise ParameterError(
                 f"experiment {name!r} is not allowed: must be one of {', '.join(available)}"
             )
-    chosen = [params.load(path) for name, path in available.items() if name in (names or available)]
+    chosen = [params.load(available[name]) for name in dict.fromkeys(names or available)]
     folder = runs.results_folder(profile, results)
     return [run for parameters in chosen for run in runs.runs_of(parameters, folder)]
 
@@ -60,7 +65,7 @@ def status(wanted: list[Run]) -> pd.DataFrame:
     rows = []
     for run in wanted:
         state, source = run.state(), run.waits_for()
-        episodes = runs.read_table([run], "episodes.csv")
+        episodes = runs.read_table([run] if state != runs.STALE else [], "episodes.csv")
         recent = episodes.tail(PACE_GAMES)
         rows.append(
             {
@@ -72,7 +77,7 @@ def status(wanted: list[Run]) -> pd.DataFrame:
                 "episodes": run.params.episodes,
                 "score": recent.score.mean() if len(episodes) else np.nan,
                 "game": run.params.game,
-                "pace": _pace(run),
+                "pace": _pace(run) if state != runs.STALE else np.nan,
             }
         )
     table = pd.DataFrame(rows)
@@ -108,13 +113,30 @@ def summary(table: pd.DataFrame) -> str:
     return f"{len(table)} runs: {listed}; {share}; about {left}"
 
 
-def take_ready(pending: list[Run]) -> Run | None:
-    """Takes the first run out of `pending` that waits for no other."""
+def take_ready(pending: list[Run], active: list[Run]) -> Run | None:
+    """Takes the first run out of `pending` that waits for no other, and for none that is still to
+    be trained or is being trained now."""
+    unfinished = {run.name for run in (*pending, *active)}
     for run in pending:
-        if run.waits_for() is None:
+        source = run.source()
+        if run.waits_for() is None and (source is None or source.name not in unfinished):
             pending.remove(run)
             return run
     return None
+
+
+@contextmanager
+def stopping_on_sigterm() -> Iterator[None]:
+    """Turns SIGTERM into KeyboardInterrupt."""
+
+    def stop(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGTERM, stop)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def left_waiting(pending: list[Run]) -> list[str]:
@@ -138,30 +160,24 @@ def train_all(wanted: list[Run], workers: int | None = None) -> list[str]:
     active: dict[int, _Worker] = {}
     places = list(range(workers or os.cpu_count() or 1))  # lines for progress bars
     failures: list[str] = []
-
-    def stop(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    before = signal.signal(signal.SIGTERM, stop)
-    try:
-        while True:
-            while places and (run := take_ready(pending)):
-                worker = _Worker(context, run, places.pop(0))
-                active[worker.process.sentinel] = worker
-            if not active:
-                break
-            for sentinel in wait(list(active)):
-                worker = active.pop(sentinel)
-                places.append(worker.place)
-                failures += worker.failure()
-    except KeyboardInterrupt:
-        for worker in active.values():
-            worker.process.terminate()  # each saves a checkpoint before it ends
-        for worker in active.values():
-            worker.process.join()
-        raise
-    finally:
-        signal.signal(signal.SIGTERM, before)
+    with stopping_on_sigterm():
+        try:
+            while True:
+                while places and (run := take_ready(pending, [one.run for one in active.values()])):
+                    worker = _Worker(context, run, places.pop(0))
+                    active[worker.process.sentinel] = worker
+                if not active:
+                    break
+                for sentinel in wait(list(active)):
+                    worker = active.pop(sentinel)
+                    places.append(worker.place)
+                    failures += worker.failure()
+        except KeyboardInterrupt:
+            for worker in active.values():
+                worker.process.terminate()  # each saves a checkpoint before it ends
+            for worker in active.values():
+                worker.process.join()
+            raise
     return failures + left_waiting(pending)
 
 

@@ -140,6 +140,9 @@ class Parameters(BaseModel):
             raise _key_error("replay_capacity", self.replay_capacity, f"at least {smallest}")
         if self.epsilon_floor > self.epsilon_start:
             raise _key_error("epsilon_floor", self.epsilon_floor, "above epsilon_start")
+        listed = [json.dumps(changes, sort_keys=True) for changes in self.variations.values()]
+        if len(set(listed)) < len(listed):
+            raise _key_error("variations", list(self.variations), "two of them change the same")
         for label, changes in self.variations.items():
             if not changes or set(changes) & NOT_VARIANT:
                 raise _key_error("variations", label, "names parameters that vary the training")
@@ -269,7 +272,9 @@ def _renamed(base: Parameters, changed: Parameters) -> Parameters:
     picks = {"agents", "seeds", "device", "variations"}
     if changed.model_dump(exclude=picks) == base.model_dump(exclude=picks):
         return changed
-    return changed.model_copy(update={"experiment": f"{base.experiment}+{changed.variant()}"})
+    return changed.model_copy(
+        update={"experiment": f"{base.experiment.partition('+')[0]}+{changed.variant()}"}
+    )
 
 
 def resolve(values: dict[str, Any], folder: Path) -> Parameters:
@@ -318,4 +323,6 @@ def dump(params: Parameters, path: Path) -> None:
     for key, field in Parameters.model_fields.items():
         value = json.dumps(getattr(params, key))
         lines.append(f"{key}: {value}  # {field.description}\n")
-    path.write_text("".join(lines), encoding="utf-8")
+    temporary = path.with_name(f".{path.name}")
+    temporary.write_text("".join(lines), encoding="utf-8")
+    temporary.replace(path)  # readers see a whole file

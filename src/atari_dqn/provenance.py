@@ -24,9 +24,12 @@ def run_table(study: Study) -> pd.DataFrame:
             continue
         stored = read(run)
         last = stored["sessions"][-1]
+        experiment, agent, _ = run.name.split("/")
         rows.append(
             {
-                "run": f"`{run.name}`",
+                "experiment": f"`{experiment}`",
+                "agent": runs.title(agent),
+                "seed": run.seed,
                 "state": state,
                 "games": f"{run.status()['episodes_done']:,}",
                 "agent steps": f"{stored['agent_steps']:,}",
@@ -37,5 +40,5 @@ def run_table(study: Study) -> pd.DataFrame:
                 "hash": f"`{stored['identity'][:8]}`",
             }
         )
-    columns = ["run", "state", "games", "agent steps", "hours", "resumes", "processor"]
-    return pd.DataFrame(rows, columns=[*columns, "commit", "hash"])
+    columns = ["experiment", "agent", "seed", "state", "games", "agent steps", "hours", "resumes"]
+    return pd.DataFrame(rows, columns=[*columns, "processor", "commit", "hash"])

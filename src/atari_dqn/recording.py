@@ -49,15 +49,21 @@ LOGS = {
 }
 
 
-def train(run: Run, position: int = 0, asked_to_stop: Callable[[], bool] | None = None) -> str:
+def train(
+    run: Run,
+    position: int = 0,
+    asked_to_stop: Callable[[], bool] | None = None,
+    patience: float = 1.0,
+) -> str:
     """Trains a run to its end, resuming it if it was interrupted; returns what happened.
 
     SIGTERM and Ctrl-C (outside the main thread, where no signal arrives: `asked_to_stop`) save a
     checkpoint, leave the run `interrupted` and raise KeyboardInterrupt. `position` is the progress
-    bar's line. Raises RunError if the stored run does not match.
+    bar's line; `patience` the seconds to wait for a process that is about to let the run go.
+    Raises RunError if the stored run does not match.
     """
     prepare_process()
-    with run.lock():
+    with run.lock(patience=patience):
         before = run.state()
         if before == STALE:
             raise RunError(
@@ -75,7 +81,8 @@ def train(run: Run, position: int = 0, asked_to_stop: Callable[[], bool] | None 
                 _play_and_learn(recorder, stopped, position)
                 recorder.finish(stopped)
         except KeyboardInterrupt:
-            recorder.publish()
+            if not (run.folder / "evaluations.csv").exists():  # they are of a finished model
+                recorder.publish()
             recorder.write_provenance()
             recorder.write_status(INTERRUPTED)
             raise

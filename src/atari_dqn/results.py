@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 
 from atari_dqn import plots, runs
-from atari_dqn.exhibits import show_absent, show_figure, show_table
+from atari_dqn.exhibits import hold_places, show_absent, show_figure, show_table, show_text
 from atari_dqn.sections import Section, data
 from atari_dqn.statistics import MARKS, interval, scores_at_marks
 
@@ -12,8 +12,13 @@ from atari_dqn.statistics import MARKS, interval, scores_at_marks
 def show_curves(section: Section) -> None:
     """The learning curves of the section's runs, as far as they have come."""
     label, window, facts = f"fig-{section.slug}-curves", section.curve_window, section.facts
-    if section.episodes.empty or section.episodes.episode.max() < window:
-        show_absent(label, f"No run has played the {window} games a learning curve begins with.")
+    if section.episodes.empty:
+        hold_places(label)
+        return
+    if section.episodes.episode.max() < window:
+        show_absent(
+            label, f"A learning curve, of means of {window} games, follows after that many games."
+        )
         return
     game = section.params.game
     published = data("published")
@@ -39,8 +44,11 @@ def show_marks(section: Section) -> None:
     label = f"tbl-{section.slug}-marks"
     step = section.params.episodes / len(MARKS)
     marks = tuple(dict.fromkeys(round(step * (index + 1)) for index in range(len(MARKS))))
-    if section.episodes.empty or section.episodes.episode.max() < marks[0]:
-        show_absent(label, f"No run has reached the first mark, {marks[0]:,} games.")
+    if section.episodes.empty:
+        hold_places(label)
+        return
+    if section.episodes.episode.max() < marks[0]:
+        show_absent(label, f"A table of mean scores follows after the first {marks[0]:,} games.")
         return
     ours = scores_at_marks(section.episodes, marks, section.mark_window).reset_index()
     ours["seed"] = [f"ours, seed {seed}" for seed in ours.seed]
@@ -71,8 +79,9 @@ def show_evaluations(section: Section) -> None:
     """The evaluation games of every finished run, with an interval over the games played."""
     figure, table = f"fig-{section.slug}-evaluation", f"tbl-{section.slug}-evaluation"
     if section.evaluations.empty:
-        show_absent(figure, "No run is finished, so none has been evaluated.")
-        show_absent(table, "The table of evaluation games follows the first finished run.")
+        if not section.episodes.empty:
+            show_text("*Evaluation games follow when a run is finished.*")
+        hold_places(figure, table)
         return
     games = section.evaluations.groupby(["agent", "seed"]).size().min()
     p = section.params
@@ -120,7 +129,7 @@ def show_values(section: Section) -> None:
     """Predicted against realised values: what overestimation is measured by."""
     label = f"fig-{section.slug}-values"
     if section.values.empty:
-        show_absent(label, "No run has played the 100 games that the first check comes after.")
+        hold_places(label)
         return
     show_figure(
         plots.value_errors(section.values),
@@ -140,8 +149,7 @@ def show_variations(section: Section, reference: Section, agent: str) -> None:
     games, window = section.params.episodes, section.curve_window
     sweep = section.episodes
     if sweep.empty or sweep.episode.max() < window:
-        show_absent(figure, f"No variation has played the {window} games a curve begins with.")
-        show_absent(table, "The table of variations follows the first finished run.")
+        hold_places(figure, table)
         return
     unchanged = reference.episodes
     if not unchanged.empty:
@@ -203,7 +211,7 @@ def show_transfer(transferred: Section, scratch: Section) -> None:
             }
         )
     if not rows:
-        show_absent(label, f"No agent has played {window} games both ways yet.")
+        hold_places(label)
         return
     show_table(
         pd.DataFrame(rows),

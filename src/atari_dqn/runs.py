@@ -16,6 +16,7 @@ Checkpoints are working state and live elsewhere (`state_folder`); they hold the
 a run resumes even where its folder was lost.
 """
 
+import hashlib
 import json
 import os
 from collections.abc import Iterator
@@ -94,7 +95,7 @@ class Run:
     def state(self) -> str:
         """complete, running, interrupted, failed, missing or stale."""
         if not (self.folder / "status.json").exists():
-            return MISSING
+            return RUNNING if self.folder.exists() and self._locked() else MISSING
         if self.changes():
             return STALE
         status = self.status()
@@ -154,19 +155,25 @@ class Run:
                 if stored.get(key) != value
             ]
             changes += different or ["identity"]
+        source, began_with = self.source(), provenance["sessions"][0].get("initial_weights")
+        if source is not None and began_with and source.state() == COMPLETE:
+            model = (source.folder / "model.safetensors").read_bytes()
+            if hashlib.sha256(model).hexdigest() != began_with:
+                changes.append(f"{source.name} has another model now")
         return changes
 
     @contextmanager
-    def lock(self) -> Iterator[None]:
-        """Held while the run is trained; raises RunError if another process holds it.
+    def lock(self, *folders: Path, patience: float = 1.0) -> Iterator[None]:
+        """Held while the run is trained; raises RunError if another process holds it and does not
+        let go within `patience` seconds.
 
-        Both folders are locked, since either may be shared without the other.
+        Both its folders are locked, since either may be shared without the other, or `folders`.
         """
         try:
             with ExitStack() as stack:
-                for folder in (self.folder, self.state_folder):
+                for folder in folders or (self.folder, self.state_folder):
                     folder.mkdir(parents=True, exist_ok=True)
-                    stack.enter_context(FileLock(folder / ".lock", timeout=1))
+                    stack.enter_context(FileLock(folder / ".lock", timeout=patience))
                 yield
         except Timeout:
             raise RunError(f"{self.name} is being trained by another process") from None
@@ -231,7 +238,10 @@ def store_evaluation(folder: Path, played: list[PlayedGame]) -> None:
 def write_atomically(path: Path, data: bytes) -> None:
     """Readers see the old file or the new one, never a part."""
     temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    temporary.write_bytes(data)
+    with temporary.open("wb") as file:
+        file.write(data)
+        file.flush()
+        os.fsync(file.fileno())
     temporary.replace(path)
 
 

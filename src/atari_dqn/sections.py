@@ -162,21 +162,28 @@ class Section:
     def badge(self) -> None:
         """Says which runs are missing or partial, their share done, and how to finish them."""
         states = [run.state() for run in self.runs]
-        complete = states.count(runs.COMPLETE)
-        profile = f" ({self.params.profile} runs)" if self.params.profile != "full" else ""
-        text = (
-            f"**{complete} of {len(self.runs)} runs complete**{profile}: "
-            f"{len(self.episodes):,} games played, {self.share:.0%} of those planned."
+        complete, name = states.count(runs.COMPLETE), self.params.experiment
+        profile = "" if self.params.profile == "full" else f" --profile {self.params.profile}"
+        command = f"`python -m atari_dqn experiments run {name}{profile}`"
+        games = (
+            f"{len(self.runs)} run{'s' * (len(self.runs) > 1)} of {self.params.episodes:,} games"
         )
         if self.episodes.empty:
-            text += " There is nothing to show yet."
-        stale = [run for run, state in zip(self.runs, states, strict=True) if state == runs.STALE]
-        for run in stale:
-            text += f"\n\n{run.name} is stale ({'; '.join(run.changes())}) and not shown."
-        if complete < len(self.runs):
-            option = "" if self.params.profile == "full" else f" --profile {self.params.profile}"
-            name = self.params.experiment
-            text += f"\n\n`python -m atari_dqn experiments run {name}{option}` finishes them."
+            text = (
+                f"**Not started.** Planned: {games}. {command} trains them; the curves and tables "
+            )
+            text += "of this experiment follow."
+        else:
+            share = "less than 1%" if self.share < 0.01 else f"{self.share:.0%}"
+            text = (
+                f"**{complete} of {len(self.runs)} runs complete**{profile and ' (small runs)'}: "
+            )
+            text += f"{len(self.episodes):,} games played, {share} of {games}."
+            if complete < len(self.runs):
+                text += f" {command} finishes them."
+        for run, state in zip(self.runs, states, strict=True):
+            if state == runs.STALE:
+                text += f"\n\n{run.name} is stale ({'; '.join(run.changes())}) and not shown."
         kind = ".badge" if complete == len(self.runs) else ".badge .partial"
         show_text(f"::: {{{kind}}}\n{text}\n:::")
 

@@ -98,9 +98,23 @@ for (const source of document.querySelectorAll("script.hover")) {
 for (const table of document.querySelectorAll("main table")) {
   const wide = document.createElement("div");
   wide.className = "wide";
-  wide.tabIndex = 0;
   table.replaceWith(wide);
+  const caption = table.querySelector("caption");
+  if (caption) {
+    const above = document.createElement("div");
+    above.className = "caption";
+    above.append(...caption.cloneNode(true).childNodes);
+    wide.before(above);
+  }
   wide.append(table);
+  const measure = () => {
+    const more = wide.scrollWidth - wide.clientWidth - wide.scrollLeft > 4;
+    wide.classList.toggle("more", more);
+    if (more) wide.tabIndex = 0;  // so that the keyboard can scroll it
+  };
+  wide.addEventListener("scroll", measure, { passive: true });
+  window.addEventListener("resize", measure);
+  measure();
 }
 const entries = new Map();
 for (const link of document.querySelectorAll("#contents a")) {
@@ -119,5 +133,8 @@ const follow = () => {
 };
 document.addEventListener("scroll", follow, { passive: true });
 follow();
-const narrow = window.matchMedia("(max-width: 75rem)");
-if (narrow.matches) document.querySelector("#contents details").open = false;
+const contents = document.querySelector("#contents details");
+if (window.matchMedia("(max-width: 74.99rem)").matches) {
+  contents.open = false;
+  contents.addEventListener("click", (event) => { if (event.target.closest("a")) contents.open = false; });
+}
