@@ -130,6 +130,8 @@ def test_every_figure_has_a_text_alternative(built):
     films = re.findall(r"<video[^>]*>", (built / "index.html").read_text())
     assert films
     assert all(re.search(r'aria-label="[^"]{20,}"', film) for film in films)
+    assert all('poster="data:image/png' in film for film in films)
+    assert (built / "index.html").read_text().count('class="film"') == len(films)
 
 
 def test_rendering_again_gives_the_same_bytes(built):

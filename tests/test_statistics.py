@@ -43,3 +43,9 @@ def test_the_interval_of_a_difference_agrees_with_welchs():
     assert statistics.difference(second, first) == pytest.approx((-high, -low), abs=0.1)
     with pytest.raises(ValueError, match="two values"):
         statistics.difference(first, second[:1])
+
+
+def test_blocks_are_means_of_fifty_successive_games_and_the_oldest_remainder_goes():
+    scores = np.r_[np.full(7, 99.0), np.full(50, 1.0), np.full(50, 3.0)]
+    assert statistics.blocks(scores).tolist() == [1.0, 3.0]
+    assert statistics.blocks(scores[:49]).size == 0

@@ -2,8 +2,9 @@
 
 A comparison is of mean scores of training games, with a bootstrap interval of the difference:
 `supported` if the whole interval lies on the claim's side of zero, `contradicted` if it lies on
-the other, `inconclusive` if it holds zero, `not yet run` while a run that the claim is about has
-not got as far. The intervals are over games; of one seed they say nothing about others.
+the other, `inconclusive` if it holds zero, `open` while a run that the claim is about has not got
+as far. Games of one run follow one another while its agent changes, so that whole blocks of them
+are resampled; the intervals say nothing about other seeds.
 """
 
 from collections.abc import Callable
@@ -15,10 +16,10 @@ import pandas as pd
 from atari_dqn import runs
 from atari_dqn.agents import AGENTS
 from atari_dqn.sections import Section, Study
-from atari_dqn.statistics import difference, interval
+from atari_dqn.statistics import BLOCK, blocks, difference, interval
 
 SUPPORTED, CONTRADICTED = "supported", "contradicted"
-INCONCLUSIVE, NOT_YET = "inconclusive", "not yet run"
+INCONCLUSIVE, NOT_YET = "inconclusive", "open"
 DQN, DOUBLE, DUELING = AGENTS
 REFINED = [DOUBLE, DUELING]
 
@@ -47,9 +48,9 @@ def all_of(verdicts: list[Verdict]) -> Verdict:
 def above(section: Section, agent: str, first: int, last: int, score: float) -> Verdict:
     """That an agent's games `first` to `last` score more than `score` on average."""
     scores = section.scores(agent, first, last)
-    if len(scores) < 2:
+    if len(scores) < 2 * BLOCK:
         return _not_yet(section)
-    low, high = interval(scores.to_numpy())
+    low, high = interval(blocks(scores.to_numpy()))
     said = f"{runs.title(agent)} {scores.mean():.1f} ({low:.1f} to {high:.1f})"
     return Verdict(_side(low - score, high - score), f"{said} against {score:g}")
 
@@ -61,9 +62,9 @@ def better(
     scores = []
     for section, agent in zip(sections, agents, strict=True):
         scores.append(section.scores(agent, first, last))
-        if len(scores[-1]) < 2:
+        if len(scores[-1]) < 2 * BLOCK:
             return _not_yet(section)
-    low, high = difference(*(found.to_numpy() for found in scores))
+    low, high = difference(*(blocks(found.to_numpy()) for found in scores))
     means = " against ".join(
         f"{runs.title(agent)} {found.mean():.1f}"
         for agent, found in zip(agents, scores, strict=True)
@@ -114,26 +115,32 @@ def ordered(study: Study, experiment: str, best: str, others: list[str], mark: i
     return all_of([better((section, section), (best, other), *games) for other in others])
 
 
-def between(study: Study, first: str, second: str) -> list[Verdict]:
-    """That an agent scores more in the first experiment than in the second, at the last games of
-    the shorter one: a verdict for every agent."""
+def between(study: Study, first: str, second: str, mark: int | None = None) -> list[Verdict]:
+    """That an agent scores more in the first experiment than in the second, up to a mark or at the
+    last games of the shorter one: a verdict for every agent."""
     pair = (study[first], study[second])
     games = _last(min(pair, key=lambda section: section.params.episodes))
+    if mark is not None:
+        games = _mark(pair[0], mark)
     agents = [agent for agent in pair[0].params.agents if agent in pair[1].params.agents]
     return [better(pair, (agent, agent), *games) for agent in agents]
 
 
 def overestimation(study: Study, experiment: str) -> Verdict:
-    """Double DQN's predictions exceed what it realises by less than DQN's do."""
+    """Double DQN's predictions exceed what it realises by less than DQN's do, in the second half
+    of the games; checks of the two at the same game are compared."""
     section = study[experiment]
     gaps = {}
     for agent in (DQN, DOUBLE):
         values = section.values
         own = values[values.agent == agent] if not values.empty else values
-        if len(own) < 5:
-            return Verdict(NOT_YET, f"{runs.title(agent)}: {len(own)} value checks, 5 are needed")
-        gaps[agent] = (own.predicted - own.realised).to_numpy()
-    low, high = difference(gaps[DQN], gaps[DOUBLE])
+        if own.empty or own.episode.max() < section.params.episodes:
+            return _not_yet(section)
+        late = own[own.episode > section.params.episodes / 2]
+        gaps[agent] = (late.predicted - late.realised).to_numpy()
+    if len(gaps[DQN]) < 2 or len(gaps[DQN]) != len(gaps[DOUBLE]):
+        return _not_yet(section)
+    low, high = interval(gaps[DQN] - gaps[DOUBLE])
     said = ", ".join(f"{runs.title(agent)} {gap.mean():+.2f}" for agent, gap in gaps.items())
     return Verdict(
         _side(low, high), f"mean gap of {said}; DQN's is larger by {low:.2f} to {high:.2f}"
@@ -141,19 +148,24 @@ def overestimation(study: Study, experiment: str) -> Verdict:
 
 
 def beaten_everywhere(study: Study) -> Verdict:
-    """The best finished Boxing agent wins on average at every difficulty."""
+    """Dueling Double DQN, the most refined agent, wins on average at every difficulty, without
+    sticky actions."""
     section = study["boxing_final"]
     games = section.all_evaluations
-    if games.empty or games.difficulty.nunique() < 4:
-        played = 0 if games.empty else games.difficulty.nunique()
-        return Verdict(NOT_YET, f"evaluated at {played} of 4 difficulties")
+    if not games.empty:
+        games = games[(games.agent == DUELING) & (games.sticky_actions == 0)]
+    played = 0 if games.empty else games.difficulty.nunique()
+    if played < 4:
+        return Verdict(
+            NOT_YET,
+            f"{runs.title(DUELING)} is evaluated at {played} of 4 difficulties "
+            "(`python -m atari_dqn evaluate RUN --difficulty D`)",
+        )
     parts = []
     for difficulty, found in games.groupby("difficulty"):
-        best = found.groupby("agent").score.mean().idxmax()
-        scores = found[found.agent == best].score
-        low, high = interval(scores.to_numpy())
-        said = f"difficulty {difficulty}: {runs.title(str(best))} {scores.mean():.1f} "
-        parts.append(Verdict(_side(low, high), f"{said}({low:.1f} to {high:.1f})"))
+        low, high = interval(found.score.to_numpy())
+        said = f"difficulty {difficulty}: {found.score.mean():.1f} ({low:.1f} to {high:.1f})"
+        parts.append(Verdict(_side(low, high), said))
     return all_of(parts)
 
 
@@ -202,7 +214,7 @@ FINDINGS: dict[str, Callable[[Study], Verdict]] = {
     "Breakout improves when a lost life costs reward (and batches are larger)": lambda study: (
         all_of(between(study, "breakout_final", "breakout_late"))
     ),
-    "A tenfold learning rate learns less in Boxing": lambda study: all_of(
+    "The early Boxing settings (rate 1e-3, batch 64, floor 0.1) learn less": lambda study: all_of(
         between(study, "boxing_final", "boxing_early")
     ),
     "A discount of 0.9 plays worse than 0.99": lambda study: all_of(
@@ -211,13 +223,15 @@ FINDINGS: dict[str, Callable[[Study], Verdict]] = {
     "A discount of 0.995 plays worse than 0.99": lambda study: all_of(
         between(study, "boxing_final", "boxing_high_gamma")
     ),
-    "All agents score more in expert mode": lambda study: all_of(
-        between(study, "boxing_expert", "boxing_final")
+    "All agents learn faster in expert mode (first 500 games)": lambda study: all_of(
+        between(study, "boxing_expert", "boxing_final", mark=1)
     ),
     "Starting from a Breakout agent does not help in Boxing": lambda study: all_of(
         [negated(helps) for helps in between(study, "boxing_transfer", "boxing_final")]
     ),
-    "The opponent is beaten at every difficulty": lambda study: beaten_everywhere(study),
+    "Preprocessing, and the settings that came with it, improve DQN in Breakout": lambda study: (
+        all_of(between(study, "breakout_late", "breakout_early"))
+    ),
 }
 
 
@@ -228,6 +242,7 @@ def findings(study: Study) -> pd.DataFrame:
 
 # The source report's four goals (its section 2.2).
 GOALS: dict[str, Callable[[Study], Verdict]] = {
+    "Beat the computer's boxer at every difficulty (its abstract)": beaten_everywhere,
     "Human level in Boxing with each agent": lambda study: human_level(study, "boxing_final"),
     "Human level in Breakout with each agent": lambda study: human_level(study, "breakout_final"),
     "Comparable data for three agents and two games": lambda study: _finished(
@@ -292,6 +307,24 @@ def _best(section: Section) -> tuple[str, int, float]:
     agent, seed = means.idxmax()
     own = section.episodes[(section.episodes.agent == agent) & (section.episodes.seed == seed)]
     return runs.title(agent), int(own.episode.max()), float(means.max())
+
+
+def conclusion(study: Study) -> str:
+    """A sentence a game on which agent is ahead, and a list of the claims that are judged."""
+    said = []
+    for name in ("boxing_final", "breakout_final"):
+        section = study[name]
+        best, games, score = _best(section)
+        if games >= min(EARLY, section.params.episodes):
+            level = "above" if score > section.facts.human else "below"
+            said.append(
+                f"In {section.facts.title} {best} is ahead after {games:,} games, with {score:.1f} "
+                f"points a game over its last 100, {level} the human {section.facts.human:g}."
+            )
+    found = findings(study)
+    for verdict, rows in found[found.verdict != NOT_YET].groupby("verdict", sort=False):
+        said.append(f"*{str(verdict).capitalize()}*: {'; '.join(rows.claim)}.")
+    return "\n\n".join(said)
 
 
 def cards(study: Study) -> str:

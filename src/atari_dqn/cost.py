@@ -44,7 +44,7 @@ def show_throughput() -> None:
     ours = best[(best.library == OURS) & (best.agent == "dqn")].iloc[0]
     show_text(
         f"With DQN this project makes {ours.steps_per_second:.0f} agent steps a second, "
-        f"{ours.ratio_to_best_peer:.2f} times the fastest peer in that peer's best set-up. That is "
+        f"{ours.ratio_to_best_peer:.2f} times the faster of the two in its best set-up. That is "
         f"{ours.share_of_roofline:.0%} of the machine's *roofline*, the speed it would have if it "
         "did nothing but the necessary arithmetic at its processor's highest speed "
         f"({machine['float32_gflops_a_core']:.0f} billion operations a second and core) and the "
@@ -72,7 +72,7 @@ def show_breakdown() -> None:
 def show_hours(study: Study) -> None:
     """Core-hours so far, and beside the source report's early run."""
     stored = [run for run in study.runs if run.state() != runs.MISSING]
-    hours = sum(provenance.read(run)["wall_clock_seconds"] for run in stored) / 3600
+    hours = sum(provenance.hours(run) for run in stored)
     early = study["breakout_early"]
     text = f"The {len(stored)} stored runs took {hours:,.1f} core-hours so far."
     if early.complete:

@@ -49,13 +49,14 @@ def smoothed(episodes: pd.DataFrame, window: int) -> pd.DataFrame:
 
 
 def learning_curves(
-    episodes: pd.DataFrame, facts: GameFacts, window: int, published: dict[str, Any]
+    episodes: pd.DataFrame, facts: GameFacts, window: int, published: dict[str, Any] | None
 ) -> tuple[Figure, dict[str, Any]]:
     """Mean raw score of the last `window` games against games, frames and hours of training.
 
     Every seed is a line; where there are several, their mean against games is a bold one.
     `episodes` holds columns episode, frames, seconds, score, agent and seed; `published` (scores
-    by agent at `frames`, million) are marks beside them. Returns the figure and what
+    by agent at `frames`, million) are marks beside them; None leaves them and the human and random
+    references out. Returns the figure and what
     `hover_values` says of it.
     """
     curves = smoothed(episodes, window)
@@ -71,7 +72,8 @@ def learning_curves(
     width, alpha = (0.6, 0.5) if several else (1.4, 1.0)
     for name, x in (("games", "episode"), ("frames", "frames"), ("hours", "hours")):
         sns.lineplot(curves, x=x, **shared, **every, lw=width, alpha=alpha, ax=panels[name])
-        _reference_lines(panels[name], facts, named=name == "games")
+        if published:
+            _reference_lines(panels[name], facts, named=name == "games")
     reached = curves.groupby(["agent", "seed"]).episode.max().groupby("agent").min()
     common = curves[curves.episode <= curves.agent.map(reached)]  # by every seed of the agent
     games = panels["games"]
@@ -84,7 +86,8 @@ def learning_curves(
     games.legend(handles, titles, loc="lower left", bbox_to_anchor=(0, 1), ncols=len(titles))
     games.set(xlabel="games played", ylabel=f"score, mean of {window} games")
     panels["hours"].set(xlabel="hours of training, one core", ylabel="")
-    _published(panels["frames"], published, float(curves.frames.max()))
+    if published:
+        _published(panels["frames"], published, float(curves.frames.max()))
     panels["frames"].set(xlabel="million frames", ylabel="score")
     means = common.groupby(["agent", "episode"])["mean"].mean()
     lines = {AGENTS[agent].title: means[agent] for agent in agents_of(curves)}
@@ -122,7 +125,14 @@ def _published(axes: Axes, published: dict[str, Any], reached: float) -> None:
             if name != "frames" and score is not None and frames <= max(5.0, 1.3 * reached)
         ]
         if at:
-            axes.plot(*zip(*at, strict=True), marker, ms=4, mfc="none", color="0.4", label=name)
+            axes.plot(
+                *zip(*at, strict=True),
+                marker,
+                ms=4,
+                mfc="none",
+                color="0.4",
+                label=f"{name}, published",
+            )
     axes.legend(fontsize="x-small", loc="best", handletextpad=0.2)
 
 

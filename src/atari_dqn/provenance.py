@@ -15,6 +15,16 @@ def read(run: Run) -> dict[str, Any]:
     return json.loads((run.folder / "provenance.json").read_bytes())
 
 
+def hours(run: Run) -> float:
+    """Core-hours of training behind the stored games."""
+    return _last(run, "timing.csv", "seconds") / 3600
+
+
+def _last(run: Run, file: str, column: str) -> float:
+    table = runs.read_table([run], file)
+    return 0.0 if table.empty else float(table[column].iloc[-1])
+
+
 def run_table(study: Study) -> pd.DataFrame:
     """A row a stored run: state, games, agent steps, hours, resumes, commit, parameters' hash."""
     rows = []
@@ -32,8 +42,8 @@ def run_table(study: Study) -> pd.DataFrame:
                 "seed": run.seed,
                 "state": state,
                 "games": f"{run.status()['episodes_done']:,}",
-                "agent steps": f"{stored['agent_steps']:,}",
-                "hours": stored["wall_clock_seconds"] / 3600,
+                "agent steps": f"{_last(run, 'episodes.csv', 'agent_steps'):,.0f}",
+                "hours": hours(run),
                 "resumes": stored["resumes"],
                 "processor": last["processor"],
                 "commit": f"`{last['commit'][:8]}`",

@@ -23,14 +23,17 @@ def show_curves(section: Section) -> None:
     game = section.params.game
     published = data("published")
     points = {"frames": published["frames"], **published[game]}
-    figure, hover = plots.learning_curves(section.episodes, facts, window, points)
+    default = section.params.difficulty == 0  # which is what others have played
+    figure, hover = plots.learning_curves(
+        section.episodes, facts, window, points if default else None
+    )
     show_figure(
         figure,
         label=label,
         caption=f"{facts.title}, `{section.params.experiment}`: raw score while training, with "
         f"exploration, against games, frames and hours; each point is the mean of the last "
-        f"{window} games ({section.counted()}). Without sticky actions; the marks are published "
-        "agents, trained with them [@dopamine2018].",
+        f"{window} games ({section.counted()}). Without sticky actions"
+        + ("; the marks are agents trained with them [@dopamine2018]." if default else "."),
         alt=f"Learning curves of the agents in {facts.title}: mean score against games played, "
         "frames and hours.",
         data=section.origin + "episodes.csv and timing.csv",

@@ -30,6 +30,19 @@ def interval(values: np.ndarray, confidence: float = 0.95) -> tuple[float, float
     return float(low), float(high)
 
 
+BLOCK = 50  # training games; an agent changes little within them
+
+
+def blocks(scores: np.ndarray) -> np.ndarray:
+    """Means of successive blocks of training games, float64 [games // BLOCK].
+
+    Successive games resemble one another: an interval over them as if they were independent would
+    be far too narrow. Games that fill no block are left out, the oldest first.
+    """
+    whole = len(scores) // BLOCK * BLOCK
+    return np.asarray(scores, float)[len(scores) - whole :].reshape(-1, BLOCK).mean(axis=1)
+
+
 def scores_at_marks(episodes: pd.DataFrame, marks: tuple[int, ...], window: int) -> pd.DataFrame:
     """Mean score of the `window` games up to each mark, a row an agent and seed.
 
