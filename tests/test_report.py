@@ -71,7 +71,9 @@ def built(tmp_path_factory):
 
 def test_the_report_has_every_section_and_every_experiment(built):
     html = (built / "index.html").read_text()
-    for path in NOTEBOOKS[:-1]:
+    for path in NOTEBOOKS:
+        if not path.name[0].isdigit():
+            continue
         title = nbformat.read(path, as_version=4).cells[0].source
         assert f'id="{re.search("{#(sec-[a-z-]+)}", title)[1]}"' in html, path
     for name in experiments.ORDER:

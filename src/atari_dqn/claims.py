@@ -123,6 +123,8 @@ def between(study: Study, first: str, second: str, mark: int | None = None) -> l
     if mark is not None:
         games = _mark(pair[0], mark)
     agents = [agent for agent in pair[0].params.agents if agent in pair[1].params.agents]
+    if not agents:  # as in the small profiles, which do not train all
+        return [Verdict(NOT_YET, "no agent is trained both ways")]
     return [better(pair, (agent, agent), *games) for agent in agents]
 
 

@@ -20,6 +20,7 @@ import av
 import cv2
 import matplotlib as mpl
 import numpy as np
+import torch
 from av.video.reformatter import ColorRange, Colorspace
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
@@ -49,14 +50,10 @@ LINES: tuple[Colour, ...] = ((86, 180, 233), (230, 159, 0), (0, 178, 130))  # co
 
 # The pictures are flat and mostly still, and what flickers keeps returning to how it was before:
 # key pictures may be rare, and many earlier pictures are worth remembering.
-ENCODER = {
-    "crf": "29",
-    "preset": "slow",
-    "tune": "animation",
-    "refs": "16",
-    "chromaoffset": "-4",
-    "g": "600",
-}
+ENCODER = {"preset": "slow", "tune": "animation", "crf": "30", "g": "600", "refs": "16"}
+ENCODER |= {"chromaoffset": "-4"}  # else grey keeps a tinge of the colours that were there
+if torch.backends.cpu.get_cpu_capability() == "AVX512":
+    ENCODER |= {"x264-params": "asm=AVX2"}  # x264's AVX-512 code gives other bytes now and then
 
 
 @dataclass(frozen=True)
@@ -215,8 +212,7 @@ class _Stage:
         games = list(recordings.values())
         width = min(320, (WIDTH - MARGIN) // len(games) - MARGIN)
         height = TOP + width * 210 // 160 + 148
-        height += -height % 16
-        self.canvas = np.full((height, WIDTH, 3), GROUND, np.uint8)
+        self.canvas = np.full((height + height % 2, WIDTH, 3), GROUND, np.uint8)  # H.264: even
         self.columns = [
             _Column(self.canvas[:, x : x + width], name, recordings, colour)
             for name, x, colour in zip(
@@ -361,7 +357,7 @@ class _Mind:
         self.bars[:] = self.ground
         middle, inset = self.left + self.reach, max(3, self.pitch // 6)
         for row, share in enumerate(self.shares[now]):
-            length = 2 * round(float(share) * self.reach / 2)  # even, as a film's colours need
+            length = 4 * round(float(share) * self.reach / 4)  # steps, which compress well
             start, end = sorted((middle, middle + length))
             top, bottom = row * self.pitch, (row + 1) * self.pitch
             colour = BAR
