@@ -1,11 +1,13 @@
-"""What a setting scores for its processor time: short runs that differ in one setting each.
+"""What a setting scores for its processor time: runs that differ in one setting each.
 
-    python benchmarks/settings.py [--minutes 35]
+    python benchmarks/settings.py [--minutes 60]
 
 Every variation in settings.yaml is trained for the same processor time, one process a core, and
-then plays 50 greedy games; halfway it plays 50 more. Scores while training do not compare, since
-epsilon falls with the games finished. Writes settings.csv (a row an evaluation) and
-settings_training.csv (a row a training game) into results/benchmarks/. Single runs: indications.
+plays 50 greedy games after every 20 minutes of it. Scores while training do not compare, since
+epsilon falls with the games finished. Writes settings.csv (a row an evaluation; the first is random
+play) and settings_training.csv (a row a training game) into results/benchmarks/. Checkpoints are
+kept: the same command continues what was stopped, and more `--minutes` lengthen it. Single runs:
+indications.
 """
 
 import argparse
@@ -15,10 +17,12 @@ import time
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
+from torch import nn
 
-from atari_dqn import evaluation, params
+from atari_dqn import checkpoints, evaluation, params
 from atari_dqn.params import Parameters
 from atari_dqn.recording import processor
 from atari_dqn.runs import project_root
@@ -26,64 +30,91 @@ from atari_dqn.statistics import interval
 from atari_dqn.training import Trainer, prepare_process
 
 GAMES = 50  # of each evaluation
+SLICE = 5 * 60.0  # seconds of processor time between checkpoints
+SLICES = 4  # between evaluations
 
 
-def measure(label: str, parameters: Parameters, minutes: float) -> tuple[list[dict], list[dict]]:
-    """Trains one variation; returns its evaluations and its training games."""
+def measure(label: str, parameters: Parameters, minutes: float, folder: Path) -> dict[str, Any]:
+    """Trains one variation for that long in all; returns its evaluations and training games."""
     prepare_process()
     trainer = Trainer(parameters, parameters.agents[0], parameters.seeds[0])
-    evaluations: list[dict] = []
-    games: list[dict] = []
-    spent, started = 0.0, time.process_time()
-    for episode in trainer.run():
-        now = spent + time.process_time() - started
-        if episode is not None:
-            games.append({"setup": label, "cpu_seconds": round(now, 1), **asdict(episode)})
-        if now >= minutes * 30 * (len(evaluations) + 1):  # half of the time, then all of it
-            spent = now
-            evaluations.append({"setup": label, **evaluate(trainer, parameters, now)})
-            started = time.process_time()
-            if len(evaluations) == 2:
-                return evaluations, games
-    raise AssertionError("training goes on for ever")
+    done: dict[str, Any] = {"label": label, "slices": 0, "evaluations": [], "games": []}
+    saved = checkpoints.load(folder)
+    if saved is not None:
+        trainer.set_state(saved.pop("trainer"))
+        done = saved
+    while done["slices"] * SLICE < minutes * 60:
+        started = time.process_time()
+        for episode in trainer.run():
+            spent = time.process_time() - started
+            if episode is not None:
+                seconds = round(done["slices"] * SLICE + spent, 1)
+                done["games"].append({"setup": label, "seconds": seconds, **asdict(episode)})
+            if spent >= SLICE:
+                break
+        done["slices"] += 1
+        if done["slices"] % SLICES == 0:
+            row = evaluate(trainer.learner.online, parameters)
+            done["evaluations"].append(
+                {
+                    "setup": label,
+                    "cpu_minutes": done["slices"] * SLICE / 60,
+                    "agent_steps": trainer.agent_steps,
+                    "updates": trainer.learner.updates,
+                    "training_games": trainer.episodes,
+                    **row,
+                }
+            )
+        checkpoints.save(folder, {"trainer": trainer.get_state(), **done})
+    return done
 
 
-def evaluate(trainer: Trainer, parameters: Parameters, now: float) -> dict:
-    played = evaluation.play(trainer.learner.online, parameters, GAMES, parameters.seeds[0])
-    scores = [game.score for game in played]
+def evaluate(network: nn.Module, parameters: Parameters) -> dict[str, Any]:
+    """Mean score of greedy games with its interval."""
+    games = evaluation.play(network, parameters, GAMES, parameters.seeds[0])
+    scores = [game.score for game in games]
     low, high = interval(scores)
-    return {
-        "cpu_minutes": round(now / 60, 1),
-        "agent_steps": trainer.agent_steps,
-        "updates": trainer.learner.updates,
-        "training_games": trainer.episodes,
-        "evaluation_games": GAMES,
-        "score": round(sum(scores) / GAMES, 2),
-        "low": round(low, 2),
-        "high": round(high, 2),
-        "processor": processor(),
-    }
+    score = sum(scores) / GAMES
+    figures = {"score": round(score, 2), "low": round(low, 2), "high": round(high, 2)}
+    return {"games": GAMES, **figures, "processor": processor()}
+
+
+def random_play(parameters: Parameters) -> dict[str, Any]:
+    """The same evaluation of an agent that only guesses."""
+    prepare_process()
+    network = Trainer(parameters, parameters.agents[0], parameters.seeds[0]).learner.online
+    guessing = parameters.model_copy(update={"evaluation_epsilon": 1.0})
+    return {"setup": "random play", **evaluate(network, guessing)}
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--minutes", type=float, default=35, help="processor time of each")
+    parser.add_argument("--minutes", type=float, default=60, help="processor time of each")
     parser.add_argument("--output", type=Path, default=project_root() / "results" / "benchmarks")
     chosen = parser.parse_args()
     chosen.output.mkdir(parents=True, exist_ok=True)
     setups = params.variants(params.load(Path(__file__).with_name("settings.yaml")))
-    evaluations: list[dict] = []
-    games: list[dict] = []
+    state = Path(
+        os.environ.get("ATARI_DQN_STATE") or project_root() / "results" / "state", "settings"
+    )
+    finished: dict[str, dict[str, Any]] = {}
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(os.cpu_count(), mp_context=context) as pool:
-        jobs = [pool.submit(measure, *setup, chosen.minutes) for setup in setups.items()]
+        guessed = pool.submit(random_play, next(iter(setups.values())))
+        jobs = [
+            pool.submit(measure, *setup, chosen.minutes, state / setup[0].replace(" ", "-"))
+            for setup in setups.items()
+        ]
         for job in as_completed(jobs):
-            more_evaluations, more_games = job.result()
-            evaluations += more_evaluations
-            games += more_games
-            pd.DataFrame(evaluations).to_csv(chosen.output / "settings.csv", index=False)
+            done = job.result()
+            finished[done["label"]] = done
+            ordered = [finished[name] for name in setups if name in finished]
+            evaluations = [row for each in ordered for row in each["evaluations"]]
+            games = [row for each in ordered for row in each["games"]]
+            table = pd.DataFrame([guessed.result(), *evaluations])
+            table.to_csv(chosen.output / "settings.csv", index=False)
             pd.DataFrame(games).to_csv(chosen.output / "settings_training.csv", index=False)
-            print(pd.DataFrame(more_evaluations).to_string(index=False), flush=True)
+            print(pd.DataFrame(done["evaluations"]).to_string(index=False), flush=True)
 
 
 if __name__ == "__main__":

@@ -316,7 +316,7 @@ class _Mind:
 
     Q-values of one state differ far less than those of different states; for a dueling network
     the bars are its advantages A(s, a). The chosen action is bright. One that was chosen at random
-    instead of a better one stays marked for half a second.
+    instead of a better one stays marked for half a second. A bar with a white end is cut short.
     """
 
     def __init__(self, view: np.ndarray, game: _Recording):
@@ -327,9 +327,9 @@ class _Mind:
         self.images = view[TOP : TOP + self.side]
         self.bars = view[TOP + SIZE + 46 : -MARGIN]
         means = game.q_values.mean(axis=1, keepdims=True)
-        # A few outliers would make all other bars short: they end at the panel's edge instead.
+        # A few outliers would make all other bars short: they are cut at the panel's edge instead.
         full = max(1e-6, float(np.quantile(np.abs(game.q_values - means).max(axis=1), 0.98)))
-        self.shares = np.clip((game.q_values - means) / full, -1, 1)
+        self.shares = (game.q_values - means) / full
         _write(view, f"±{full:.2g}", view.shape[1], TOP + SIZE + 34, 16, SOFT, align=1)
         self.random = game.actions != game.q_values.argmax(axis=1)
         self.names = [_words(action.name) for action in game_of(game.params).actions]
@@ -357,7 +357,7 @@ class _Mind:
         self.bars[:] = self.ground
         middle, inset = self.left + self.reach, max(3, self.pitch // 6)
         for row, share in enumerate(self.shares[now]):
-            length = 4 * round(float(share) * self.reach / 4)  # steps, which compress well
+            length = 4 * round(float(np.clip(share, -1, 1)) * self.reach / 4)  # compresses well
             start, end = sorted((middle, middle + length))
             top, bottom = row * self.pitch, (row + 1) * self.pitch
             colour = BAR
@@ -367,6 +367,9 @@ class _Mind:
                 at = (self.left - 8, self._baseline(row))
                 _write(self.bars, self.names[row], *at, 17, INK, align=1)
             self.bars[top + inset : bottom - inset, start : end + 1] = colour
+            if abs(share) > 1:
+                tip = slice(start, start + 4) if share < 0 else slice(end - 4, end)
+                self.bars[top + inset : bottom - inset, tip] = INK
             if row in guessed:
                 at = (self.bars.shape[1] - 6, self._baseline(row))
                 _write(self.bars, "random", *at, 17, RANDOM, True, 1)
