@@ -5,6 +5,7 @@ from torch import nn
 
 from atari_dqn.agents import AGENTS, Learner, double_q_learning, learning_rate, q_learning
 from atari_dqn.networks import FEATURES, DuelingNetwork, NatureNetwork
+from atari_dqn.params import ParameterError
 from atari_dqn.replay import Batch
 
 # Q-values of two next states, three actions; the networks disagree about the best one.
@@ -223,7 +224,7 @@ def test_transfer_takes_over_the_named_layers_and_leaves_the_rest_fresh(agent, l
 
 def test_weights_of_another_network_are_refused(small):
     source = Learner(AGENTS["dqn"], 18, small(), seed=1).online.state_dict()
-    with pytest.raises(ValueError, match=r"have no value_hidden\.weight of \(512, 3136\)"):
+    with pytest.raises(ParameterError, match=r"no value_hidden\.weight of shape \(512, 3136\)"):
         Learner(AGENTS["dueling_double_dqn"], 18, small(), 1, initial=source)
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from atari_dqn import claims, params, runs
+from atari_dqn import claims, params, runs, summaries
 from atari_dqn.params import TRAINING_VERSION
 from atari_dqn.sections import Study
 
@@ -54,8 +54,10 @@ BEST = "Double DQN ends highest in Boxing"
 def test_without_runs_every_claim_is_not_yet_run(tmp_path):
     study = Study("full", str(tmp_path))
     assert set(claims.findings(study).verdict) == {claims.NOT_YET}
-    assert set(claims.goals(study).verdict) == {claims.NOT_YET}
-    assert "Training has only begun: 0 of" in claims.headline(study)
+    assert set(claims.goals(study).state) == {claims.NOT_YET}
+    assert "2 more claims wait" not in summaries.reading(study, "boxing_low_gamma")
+    assert "One more claim waits" in summaries.reading(study, "boxing_low_gamma")
+    assert "Training has only begun: 0 of" in summaries.headline(study)
 
 
 @pytest.mark.parametrize(
@@ -99,3 +101,35 @@ def test_the_parts_of_a_claim_are_weighed_together():
     assert against.verdict == "contradicted"
     assert claims.negated(claims.Verdict("supported", "")).verdict == "contradicted"
     assert claims.negated(claims.Verdict("inconclusive", "")).verdict == "inconclusive"
+
+
+def test_learning_that_falls_back_is_told_from_learning_that_rises(tmp_path):
+    rising = np.linspace(0, 80, 3000)
+    store(tmp_path, "boxing_final", "dqn", rising)
+    store(tmp_path, "boxing_early", "dqn", 20 + 15 * np.sin(np.arange(1400) / 100))
+    claim = "With them, learning is unstable: the curve falls back further from its best"
+    assert verdict(tmp_path, claim).verdict == claims.SUPPORTED
+    store(tmp_path, "boxing_early", "dqn", rising[:1400])
+    assert verdict(tmp_path, claim).verdict == claims.INCONCLUSIVE
+
+
+def test_only_dqn_is_human_in_breakout_falls_with_a_better_double_dqn(tmp_path):
+    claim = "Of the three, only DQN reaches the human score in Breakout"
+    for agent, mean in (("dqn", 40.0), ("double_dqn", 15.0), ("dueling_double_dqn", 21.0)):
+        store(tmp_path, "breakout_final", agent, scores(mean))
+    assert verdict(tmp_path, claim).verdict == claims.SUPPORTED
+    store(tmp_path, "breakout_final", "double_dqn", scores(35.0))
+    assert verdict(tmp_path, claim).verdict == claims.CONTRADICTED
+
+
+def test_a_reading_tells_where_a_run_stands_and_when_it_passed_the_human_score(tmp_path):
+    curve = np.concatenate([np.linspace(0, 24.1, 200), np.full(100, 20.0)])
+    run = store(tmp_path, "boxing_final", "dqn", curve)
+    table = pd.read_csv(run.folder / "episodes.csv").assign(epsilon=0.22)
+    table.to_csv(run.folder / "episodes.csv", index=False)
+    text = summaries.reading(Study("full", str(tmp_path)), "boxing_final")
+    mean = pd.Series(curve).rolling(100).mean()
+    passed = int(mean.gt(12.1).idxmax()) + 1
+    assert "DQN scores 20.0 points a game over the last 100 of 300 games, 22% of its" in text
+    assert f"first passed the human 12.1 after game {passed};" in text
+    assert "5 more claims wait" in text

@@ -1,10 +1,12 @@
 import numpy as np
+import pandas as pd
 import pytest
 import torch
 
-from atari_dqn import evaluation
+from atari_dqn import evaluation, playstyle, recording
 from atari_dqn.agents import AGENTS
 from atari_dqn.evaluation import check_values, discounted, held_out_states, play
+from atari_dqn.runs import Run
 
 
 def test_discounted_returns_are_sums_to_the_games_end():
@@ -73,3 +75,32 @@ def test_an_untrained_network_plays_like_random_play_in_breakout(small):
     network = AGENTS["dqn"].network(4, 4)
     scores = [game.score for game in play(network, parameters, 40, seed=0)]
     assert np.mean(scores) == pytest.approx(1.2, abs=0.8)
+
+
+def test_a_finished_run_is_evaluated_as_trained_and_under_the_conditions_it_asks_for(
+    tmp_path, small
+):
+    asked = {"evaluation_difficulties": [0, 1], "evaluation_stickiness": [0.25]}
+    run = Run(small(difficulty=1, episodes=2, max_game_frames=100, **asked), tmp_path)
+    recording.train(run)
+    table = pd.read_csv(run.folder / "evaluations.csv")
+    played = table.groupby(["difficulty", "sticky_actions"]).size().to_dict()
+    assert played == {(1, 0.0): 2, (0, 0.0): 2, (1, 0.25): 2}
+    assert set(table.trained_games) == {2}
+
+
+def test_a_condition_that_a_cartridge_does_not_have_is_refused(small):
+    with pytest.raises(ValueError, match="evaluation_difficulties: \\[2\\] is not allowed"):
+        small(game="breakout", evaluation_difficulties=[2])
+
+
+def test_play_style_counts_every_point_of_the_games_and_how_near_the_boxers_are(small):
+    parameters = small(max_game_frames=4000, evaluation_epsilon=1.0)
+    network = AGENTS["dqn"].network(4, 18)
+    found = playstyle.measure(network, parameters, 3, seed=0)
+    games = list(play(network, parameters, 3, seed=0))
+    minutes = sum(game.length for game in games) * 4 / 3600
+    scored, conceded = found["scored"] * minutes, found["conceded"] * minutes
+    assert scored - conceded == pytest.approx(sum(game.score for game in games))
+    assert min(scored, conceded) > 0, "the test would not see who scored"
+    assert 10 < found["distance"] < 120

@@ -15,6 +15,7 @@ import pytest
 from filelock import FileLock, Timeout
 
 from atari_dqn import checkpoints, cluster, experiments, params, recording
+from atari_dqn.params import ParameterError
 from atari_dqn.runs import Run, RunError
 
 
@@ -86,6 +87,24 @@ def test_a_run_whose_source_is_not_trained_is_named_at_the_end(tmp_path, transfe
     assert line == (
         "transfer/double_dqn/seed-1 waits for small/double_dqn/seed-1, which is missing"
     )
+
+
+def test_an_unknown_experiment_to_start_from_is_refused_before_anything_is_trained(
+    tmp_path, monkeypatch, transfer
+):
+    params.dump(transfer, tmp_path / "transfer.yaml")
+    monkeypatch.setattr(experiments, "files", lambda profile: [tmp_path / "transfer.yaml"])
+    with pytest.raises(ParameterError, match=r"transfer\.yaml: initial_weights: 'small' is not"):
+        experiments.planned("smoke", [], tmp_path)
+    (tmp_path / "runs" / "small").mkdir(parents=True)  # stored, though no file asks for it
+    assert len(experiments.planned("smoke", [], tmp_path)) == 1
+
+
+def test_a_model_to_start_from_that_cannot_be_read_is_named(tmp_path, small, transfer):
+    recording.train(Run(small(), tmp_path))
+    (Run(small(), tmp_path).folder / "model.safetensors").write_bytes(b"no weights")
+    with pytest.raises(RunError, match=r"model\.safetensors, which transfer/double_dqn/seed-1"):
+        recording.train(Run(transfer, tmp_path))
 
 
 def test_a_failing_run_does_not_stop_the_others_and_its_error_is_told(tmp_path, small):

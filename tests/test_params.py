@@ -9,6 +9,7 @@ ROOT = Path(__file__).parents[1]
 # What only some experiments need to name.
 RARE = {
     *("device", "warmup_games", "warmup_learning_rate", "variations"),
+    *("evaluation_difficulties", "evaluation_stickiness"),
     *("initial_weights", "transferred_layers", "freeze_convolutions"),
 }
 
@@ -119,6 +120,9 @@ def test_values_injected_into_a_notebook_are_overrides_of_the_file_they_name(tmp
     values = {"experiment": "mine", "learning_rate": "1e-3"}
     assert params.resolve(values, tmp_path) == params.load(tmp_path / "mine.yaml")
     assert params.resolve({**values, "gamma": 0.8}, tmp_path).experiment.startswith("mine+")
+    assert params.resolve({"experiment": "new", "gamma": 0.8}, tmp_path).gamma == 0.8
+    with pytest.raises(ParameterError, match=r"experiment: 'mien' is not allowed: there is no"):
+        params.resolve({"experiment": "mien", "profile": "full", "episodes": 5}, tmp_path)
 
 
 def test_what_is_dumped_reads_back_the_same(tmp_path, small):

@@ -11,7 +11,7 @@ import pandas as pd
 import typer
 from tabulate import tabulate
 
-from atari_dqn import experiments, params, recording, report, runs
+from atari_dqn import experiments, params, recording, runs
 from atari_dqn.checkpoints import CheckpointError
 from atari_dqn.params import ParameterError
 from atari_dqn.runs import RunError
@@ -150,6 +150,8 @@ def run(
 @app.command(name="report")
 def report_(profile: Profile = "full", results: Results = None) -> None:
     """Render the report from the stored runs; quick and smoke train their small runs first."""
+    from atari_dqn import report  # which imports all that draws
+
     with _interruptible():
         print(f"report: {report.build(profile, results)}/index.html and report.pdf")
 

@@ -17,7 +17,7 @@ import torch
 from torch import Tensor, nn
 
 from atari_dqn.networks import DuelingNetwork, NatureNetwork
-from atari_dqn.params import Parameters
+from atari_dqn.params import ParameterError, Parameters
 from atari_dqn.replay import Batch
 
 
@@ -175,12 +175,15 @@ def transfer(weights: dict[str, Tensor], network: nn.Module, layers: str) -> Non
     """Copies a trained network's `weights` into another of the same kind.
 
     `layers`: "convolutions", or "all" but the output layers, which stay as they are, since games
-    differ in their actions. Raises ValueError if a weight is missing or has another shape.
+    differ in their actions. Raises ParameterError if a weight is missing or has another shape.
     """
     for name, own in network.named_parameters():
         if name.startswith("convolutions") or (layers == "all" and "output" not in name):
             if name not in weights or weights[name].shape != own.shape:
-                raise ValueError(f"the weights to start from have no {name} of {tuple(own.shape)}")
+                shape = tuple(own.shape)
+                raise ParameterError(
+                    f"initial_weights: the model to start from has no {name} of shape {shape}"
+                )
             own.copy_(weights[name])
 
 

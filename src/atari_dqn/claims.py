@@ -97,13 +97,15 @@ def _mark(section: Section, number: int) -> tuple[int, int]:
     return (number - 1) * section.mark_window + 1, number * section.mark_window
 
 
-def human_level(study: Study, experiment: str, mark: int = 6) -> Verdict:
-    """All agents of an experiment exceed the human reference at a mark."""
+def human_level(
+    study: Study, experiment: str, agents: list[str] | None = None, mark: int = 6
+) -> Verdict:
+    """The agents of an experiment, by default all, exceed the human reference at a mark."""
     section = study[experiment]
     return all_of(
         [
             above(section, agent, *_mark(section, mark), section.facts.human)
-            for agent in section.params.agents
+            for agent in agents or section.params.agents
         ]
     )
 
@@ -149,6 +151,25 @@ def overestimation(study: Study, experiment: str) -> Verdict:
     )
 
 
+def steadier(study: Study, steady: str, unsteady: str, agent: str) -> Verdict:
+    """An agent's curve falls back less from its best in the first experiment than in the second,
+    over the games of the second: block by block, the best mean so far less the block's own."""
+    falls = []
+    for name in (steady, unsteady):
+        scores = study[name].scores(agent, 1, study[unsteady].params.episodes)
+        if len(scores) < 2 * BLOCK:
+            return _not_yet(study[name])
+        means = blocks(scores.to_numpy())
+        falls.append(np.maximum.accumulate(means) - means)
+    low, high = difference(falls[1], falls[0])
+    said = " against ".join(
+        f"{name} {fall.mean():.1f}" for name, fall in zip((steady, unsteady), falls, strict=True)
+    )
+    return Verdict(
+        _side(low, high), f"mean fall from the best: {said}, difference {low:.1f} to {high:.1f}"
+    )
+
+
 def beaten_everywhere(study: Study) -> Verdict:
     """Dueling Double DQN, the most refined agent, wins on average at every difficulty, without
     sticky actions."""
@@ -171,12 +192,21 @@ def beaten_everywhere(study: Study) -> Verdict:
     return all_of(parts)
 
 
-def table(claims: dict[str, Callable[[Study], Verdict]], study: Study) -> pd.DataFrame:
+@dataclass(frozen=True)
+class Claim:
+    """Something the source report says, in our words; `experiments` are those it is about."""
+
+    text: str
+    experiments: tuple[str, ...]
+    judge: Callable[[Study], Verdict]
+
+
+def table(claims: tuple[Claim, ...], study: Study) -> pd.DataFrame:
     """A row a claim: what is claimed, the verdict, the evidence."""
     rows = []
-    for claim, judge in claims.items():
-        verdict = judge(study)
-        rows.append({"claim": claim, "verdict": verdict.verdict, "evidence": verdict.evidence})
+    for claim in claims:
+        found = claim.judge(study)
+        rows.append({"claim": claim.text, "verdict": found.verdict, "evidence": found.evidence})
     return pd.DataFrame(rows)
 
 
@@ -187,54 +217,105 @@ def negated(verdict: Verdict) -> Verdict:
 
 
 # The source report's findings and interpretations (its section 2.1) and what it says along the
-# way, in our words, each with its judge.
-FINDINGS: dict[str, Callable[[Study], Verdict]] = {
-    "All three agents exceed the human score in Boxing after 1,000 games": lambda study: (
-        human_level(study, "boxing_final", mark=2)
+# way.
+FINDINGS = (
+    Claim(
+        "All three agents exceed the human score in Boxing after 1,000 games",
+        ("boxing_final",),
+        lambda study: human_level(study, "boxing_final", mark=2),
     ),
-    "Double and Dueling Double DQN end above DQN in Boxing": lambda study: all_of(
-        [ordered(study, "boxing_final", agent, [DQN], 6) for agent in REFINED]
+    Claim(
+        "Double and Dueling Double DQN end above DQN in Boxing",
+        ("boxing_final",),
+        lambda study: all_of(
+            [ordered(study, "boxing_final", agent, [DQN], 6) for agent in REFINED]
+        ),
     ),
-    "Dueling Double DQN is the best of the first 500 games in both games": lambda study: all_of(
-        [
-            ordered(study, name, DUELING, [DQN, DOUBLE], 1)
-            for name in ("boxing_final", "breakout_final")
-        ]
+    Claim(
+        "Dueling Double DQN is the best of the first 500 games in both games",
+        ("boxing_final", "breakout_final"),
+        lambda study: all_of(
+            [
+                ordered(study, name, DUELING, [DQN, DOUBLE], 1)
+                for name in ("boxing_final", "breakout_final")
+            ]
+        ),
     ),
-    "Double DQN ends highest in Boxing": lambda study: ordered(
-        study, "boxing_final", DOUBLE, [DQN, DUELING], 6
+    Claim(
+        "Double DQN ends highest in Boxing",
+        ("boxing_final",),
+        lambda study: ordered(study, "boxing_final", DOUBLE, [DQN, DUELING], 6),
     ),
-    "Double DQN ends lowest in Breakout": lambda study: all_of(
-        [ordered(study, "breakout_final", agent, [DOUBLE], 6) for agent in (DQN, DUELING)]
+    Claim(
+        "Double DQN ends lowest in Breakout",
+        ("breakout_final",),
+        lambda study: all_of(
+            [ordered(study, "breakout_final", agent, [DOUBLE], 6) for agent in (DQN, DUELING)]
+        ),
     ),
-    "Double DQN overestimates less than DQN in Boxing": lambda study: overestimation(
-        study, "boxing_final"
+    Claim(
+        "Of the three, only DQN reaches the human score in Breakout",
+        ("breakout_final",),
+        lambda study: all_of(
+            [
+                human_level(study, "breakout_final", [DQN]),
+                *(negated(human_level(study, "breakout_final", [agent])) for agent in REFINED),
+            ]
+        ),
     ),
-    "DQN is the best of the later Breakout experiment": lambda study: ordered(
-        study, "breakout_late", DQN, REFINED, 6
+    Claim(
+        "Double DQN overestimates less than DQN in Boxing",
+        ("boxing_final",),
+        lambda study: overestimation(study, "boxing_final"),
     ),
-    "Breakout improves when a lost life costs reward (and batches are larger)": lambda study: (
-        all_of(between(study, "breakout_final", "breakout_late"))
+    Claim(
+        "DQN is the best of the later Breakout experiment",
+        ("breakout_late",),
+        lambda study: ordered(study, "breakout_late", DQN, REFINED, 6),
     ),
-    "The early Boxing settings (rate 1e-3, batch 64, floor 0.1) learn less": lambda study: all_of(
-        between(study, "boxing_final", "boxing_early")
+    Claim(
+        "Breakout improves when a lost life costs reward (and batches are larger)",
+        ("breakout_final", "breakout_late"),
+        lambda study: all_of(between(study, "breakout_final", "breakout_late")),
     ),
-    "A discount of 0.9 plays worse than 0.99": lambda study: all_of(
-        between(study, "boxing_final", "boxing_low_gamma")
+    Claim(
+        "The early Boxing settings (rate 1e-3, batch 64, floor 0.1) learn less",
+        ("boxing_early",),
+        lambda study: all_of(between(study, "boxing_final", "boxing_early")),
     ),
-    "A discount of 0.995 plays worse than 0.99": lambda study: all_of(
-        between(study, "boxing_final", "boxing_high_gamma")
+    Claim(
+        "With them, learning is unstable: the curve falls back further from its best",
+        ("boxing_early",),
+        lambda study: steadier(study, "boxing_final", "boxing_early", DQN),
     ),
-    "All agents learn faster in expert mode (first 500 games)": lambda study: all_of(
-        between(study, "boxing_expert", "boxing_final", mark=1)
+    Claim(
+        "A discount of 0.9 plays worse than 0.99",
+        ("boxing_low_gamma",),
+        lambda study: all_of(between(study, "boxing_final", "boxing_low_gamma")),
     ),
-    "Starting from a Breakout agent does not help in Boxing": lambda study: all_of(
-        [negated(helps) for helps in between(study, "boxing_transfer", "boxing_final")]
+    Claim(
+        "A discount of 0.995 plays worse than 0.99",
+        ("boxing_high_gamma",),
+        lambda study: all_of(between(study, "boxing_final", "boxing_high_gamma")),
     ),
-    "Preprocessing, and the settings that came with it, improve DQN in Breakout": lambda study: (
-        all_of(between(study, "breakout_late", "breakout_early"))
+    Claim(
+        "All agents learn faster in expert mode (first 500 games)",
+        ("boxing_expert",),
+        lambda study: all_of(between(study, "boxing_expert", "boxing_final", mark=1)),
     ),
-}
+    Claim(
+        "Starting from a Breakout agent does not help in Boxing",
+        ("boxing_transfer",),
+        lambda study: all_of(
+            [negated(helps) for helps in between(study, "boxing_transfer", "boxing_final")]
+        ),
+    ),
+    Claim(
+        "Preprocessing, and the settings that came with it, improve DQN in Breakout",
+        ("breakout_early", "breakout_late"),
+        lambda study: all_of(between(study, "breakout_late", "breakout_early")),
+    ),
+)
 
 
 def findings(study: Study) -> pd.DataFrame:
@@ -242,26 +323,48 @@ def findings(study: Study) -> pd.DataFrame:
     return table(FINDINGS, study)
 
 
-# The source report's four goals (its section 2.2).
-GOALS: dict[str, Callable[[Study], Verdict]] = {
-    "Beat the computer's boxer at every difficulty (its abstract)": beaten_everywhere,
-    "Human level in Boxing with each agent": lambda study: human_level(study, "boxing_final"),
-    "Human level in Breakout with each agent": lambda study: human_level(study, "breakout_final"),
-    "Comparable data for three agents and two games": lambda study: _finished(
-        study, ["boxing_final", "breakout_final"]
+# The source report's four goals (its section 2.2), and that of its abstract.
+GOALS = (
+    Claim(
+        "Beat the computer's boxer at every difficulty (its abstract)",
+        ("boxing_final",),
+        beaten_everywhere,
     ),
-    "How hyper-parameters change performance": lambda study: _finished(
-        study, ["boxing_sensitivity", "boxing_low_gamma", "boxing_high_gamma"]
+    Claim(
+        "Human level in Boxing with each agent",
+        ("boxing_final",),
+        lambda study: human_level(study, "boxing_final"),
     ),
-    "How well transfer from Breakout to Boxing works": lambda study: _finished(
-        study, ["boxing_transfer", "boxing_transfer_controls"]
+    Claim(
+        "Human level in Breakout with each agent",
+        ("breakout_final",),
+        lambda study: human_level(study, "breakout_final"),
     ),
-}
+    Claim(
+        "Comparable data for three agents and two games",
+        ("boxing_final", "breakout_final"),
+        lambda study: _finished(study, ["boxing_final", "breakout_final"]),
+    ),
+    Claim(
+        "How hyper-parameters change performance",
+        ("boxing_sensitivity", "boxing_low_gamma", "boxing_high_gamma"),
+        lambda study: _finished(
+            study, ["boxing_sensitivity", "boxing_low_gamma", "boxing_high_gamma"]
+        ),
+    ),
+    Claim(
+        "How well transfer from Breakout to Boxing works",
+        ("boxing_transfer", "boxing_transfer_controls"),
+        lambda study: _finished(study, ["boxing_transfer", "boxing_transfer_controls"]),
+    ),
+)
+REACHED = {SUPPORTED: "reached", CONTRADICTED: "not reached"}  # what a verdict on a goal is called
 
 
 def goals(study: Study) -> pd.DataFrame:
-    """The verdicts on `GOALS`."""
-    return table(GOALS, study)
+    """How far `GOALS` are reached."""
+    found = table(GOALS, study).rename(columns={"claim": "goal", "verdict": "state"})
+    return found.assign(state=found.state.replace(REACHED))
 
 
 def _finished(study: Study, names: list[str]) -> Verdict:
@@ -271,102 +374,3 @@ def _finished(study: Study, names: list[str]) -> Verdict:
     done = all(section.complete for section in sections)
     said = ", ".join(f"{section.params.experiment} {section.share:.0%}" for section in sections)
     return Verdict(SUPPORTED if done else NOT_YET, f"{share:.0%} of the games played ({said})")
-
-
-EARLY = 500  # games, before which an agent still acts mostly at random
-
-
-def headline(study: Study) -> str:
-    """One paragraph: how far the runs are, and how the claims stand."""
-    section = study["boxing_final"]
-    judged = findings(study).verdict.value_counts()
-    done = judged.drop(NOT_YET, errors="ignore")
-    played = sum(len(each.episodes) for each in study.sections.values())
-    planned = sum(len(each.runs) * each.params.episodes for each in study.sections.values())
-    best, games, score = _best(section)
-    if games < min(EARLY, section.params.episodes):
-        text = f"Training has only begun: {played:,} of {planned:,} planned games are played."
-    else:
-        level = "above" if score > section.facts.human else "below"
-        text = (
-            f"After {games:,} games of Boxing the best agent so far, {best}, scores {score:.1f} "
-            f"points a game while still exploring, {level} the human reference of "
-            f"{section.facts.human:g} (random play: {section.facts.random:g})."
-        )
-    counted = ", ".join(f"{number} {verdict}" for verdict, number in done.items()) or "none yet"
-    return (
-        f"**{text}** Of {judged.sum()} claims of the source report that runs can judge, "
-        f"{done.sum()} are judged so far ({counted})."
-    )
-
-
-def _best(section: Section) -> tuple[str, int, float]:
-    """The agent with the best mean of late, its games, and that mean over its last 100 games."""
-    if section.episodes.empty:
-        return "", 0, 0.0
-    recent = section.episodes.groupby(["agent", "seed"]).tail(100)
-    means = recent.groupby(["agent", "seed"]).score.mean()
-    agent, seed = means.idxmax()
-    own = section.episodes[(section.episodes.agent == agent) & (section.episodes.seed == seed)]
-    return runs.title(agent), int(own.episode.max()), float(means.max())
-
-
-def conclusion(study: Study) -> str:
-    """A sentence a game on which agent is ahead, and a list of the claims that are judged."""
-    said = []
-    for name in ("boxing_final", "breakout_final"):
-        section = study[name]
-        best, games, score = _best(section)
-        if games >= min(EARLY, section.params.episodes):
-            level = "above" if score > section.facts.human else "below"
-            said.append(
-                f"In {section.facts.title} {best} is ahead after {games:,} games, with {score:.1f} "
-                f"points a game over its last 100, {level} the human {section.facts.human:g}."
-            )
-    found = findings(study)
-    for verdict, rows in found[found.verdict != NOT_YET].groupby("verdict", sort=False):
-        said.append(f"*{str(verdict).capitalize()}*: {'; '.join(rows.claim)}.")
-    return "\n\n".join(said)
-
-
-def cards(study: Study) -> str:
-    """Four numbers, as a division of class `card`."""
-    section = study["boxing_final"]
-    games = sum(len(each.episodes) for each in study.sections.values())
-    judged = findings(study).verdict
-    _, played, score = _best(section)
-    window = min(100, played)
-    numbers = [
-        (f"{score:.1f}", f"points in Boxing: the best mean of a run's last {window} games")
-        if played
-        else ("–", "points in Boxing: no game is stored yet"),
-        (f"{section.facts.human:g}", "points: a human tester's mean"),
-        (f"{games:,}", "training games stored"),
-        (f"{(judged != NOT_YET).sum()} of {len(judged)}", "claims of the source report judged"),
-    ]
-    cells = "\n".join(f"::: {{}}\n**{number}** {what}\n:::" for number, what in numbers)
-    return f":::: {{.card}}\n{cells}\n::::"
-
-
-def list_of_findings() -> str:
-    """The claims as a list, for a reader who has not seen the source report."""
-    return "\n".join(f"{number}. {claim}." for number, claim in enumerate(FINDINGS, start=1))
-
-
-OBJECTIVES = {
-    "Explore the concepts and methods of reinforcement learning": "@sec-background",
-    "Understand the algorithms: architecture, training, mathematics": "@sec-design",
-    "Build deep networks, losses and hyper-parameter tuning in PyTorch": (
-        "@sec-networks, @sec-sensitivity"
-    ),
-    "Train agents in Gymnasium's environments": "@sec-results",
-    "Evaluate: learning curves, convergence, interpretation": "@sec-findings",
-    "Document and communicate": "this report; @sec-repeat",
-}
-
-
-def objectives() -> pd.DataFrame:
-    """The source report's six learning objectives, and the sections that serve them."""
-    return pd.DataFrame(
-        {"objective": OBJECTIVES.keys(), "where this study serves it": OBJECTIVES.values()}
-    )

@@ -4,7 +4,7 @@ Everything here plays the published model, `model.safetensors` (float16), so tha
 what anyone can reproduce from the repository.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -121,10 +121,17 @@ class Table:
         )
 
 
-def play(network: nn.Module, params: Parameters, games: int, seed: int) -> Iterator[PlayedGame]:
+def play(
+    network: nn.Module,
+    params: Parameters,
+    games: int,
+    seed: int,
+    watch: Callable[[Table], None] = lambda table: None,
+) -> Iterator[PlayedGame]:
     """Plays games 0 to `games` - 1 to their ends, several at once, each as it ends.
 
-    Every game that is begun is counted, so that short games are not favoured.
+    Every game that is begun is counted, so that short games are not favoured. `watch` is shown
+    every game after each of its steps.
     """
     waiting = iter(range(games))
     tables = []
@@ -138,7 +145,9 @@ def play(network: nn.Module, params: Parameters, games: int, seed: int) -> Itera
         q_values = q_of(network, np.stack([table.planes for table in tables], axis=1))
         for table, q_value in zip(list(tables), q_values, strict=True):
             action = epsilon_greedy(q_value[None], epsilon, table.rng)[0]
-            if not table.step(int(action)):
+            ended = table.step(int(action))
+            watch(table)
+            if not ended:
                 continue
             yield table.result(seed)
             following = next(waiting, None)
@@ -146,6 +155,17 @@ def play(network: nn.Module, params: Parameters, games: int, seed: int) -> Itera
                 tables.remove(table)
             else:
                 table.start(following, seed)
+
+
+def conditions(params: Parameters) -> list[Parameters]:
+    """What a finished run is evaluated with: as it was trained, then at the difficulties, and then
+    with the sticky actions, that it asks for besides."""
+    changes = [
+        *({"difficulty": switches} for switches in params.evaluation_difficulties),
+        *({"sticky_actions": probability} for probability in params.evaluation_stickiness),
+    ]
+    changed = (params.model_copy(update=change) for change in changes)
+    return [params, *(each for each in changed if each != params)]
 
 
 @torch.no_grad()

@@ -80,4 +80,25 @@ def show_table(table: pd.DataFrame, label: str, caption: str, decimals: int = 2)
     shown = shown.mask(table.isna(), "–")
     right = tuple("right" if kind.kind in "if" else "left" for kind in table.dtypes)
     text = shown.to_markdown(index=False, disable_numparse=True, colalign=right)
+    head, _, *rows = text.splitlines()
+    # Where a row is longer than a line, pandoc shares the width out by these dashes.
+    dashes = (
+        "-" * width + "-:" if side == "right" else ":-" + "-" * width
+        for width, side in zip(_widths(shown), right, strict=True)
+    )
+    text = "\n".join([head, f"|{'|'.join(dashes)}|", *rows])
     show_text(f"{text}\n\n: {caption} {{#{label}}}")
+
+
+WIDEST = 44  # letters; a longer cell is broken into lines
+
+
+def _widths(shown: pd.DataFrame) -> list[int]:
+    """Letters that each column needs: those of its longest cell, within reason, and never fewer
+    than those of its longest word."""
+    widths = []
+    for name, column in shown.items():
+        cells = [str(name), *map(str, column)]
+        word = max(len(part) for cell in cells for part in cell.split())
+        widths.append(max(min(word, WIDEST), min(max(map(len, cells)), WIDEST)))
+    return widths

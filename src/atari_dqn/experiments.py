@@ -45,7 +45,7 @@ def files(profile: str) -> list[Path]:
 def planned(profile: str, names: list[str], results: Path | None) -> list[Run]:
     """Every run of the named experiments, in that order, or of all.
 
-    Raises ParameterError on an unknown name.
+    Raises ParameterError on an unknown name, also of an experiment to start from.
     """
     available = {path.stem: path for path in files(profile)}
     for name in names:
@@ -55,6 +55,13 @@ def planned(profile: str, names: list[str], results: Path | None) -> list[Run]:
             )
     chosen = [params.load(available[name]) for name in dict.fromkeys(names or available)]
     folder = runs.results_folder(profile, results)
+    for parameters in chosen:
+        source = parameters.initial_weights
+        if source and source not in available and not (folder / "runs" / source).exists():
+            raise ParameterError(
+                f"{available[parameters.experiment]}: initial_weights: {source!r} is not allowed: "
+                f"must be stored in {folder / 'runs'} or one of {', '.join(available)}"
+            )
     return [run for parameters in chosen for run in runs.runs_of(parameters, folder)]
 
 
@@ -158,7 +165,7 @@ def train_all(wanted: list[Run], workers: int | None = None) -> list[str]:
     pending = [run for run in wanted if run.state() != runs.COMPLETE]
     context = multiprocessing.get_context("spawn")
     active: dict[int, _Worker] = {}
-    places = list(range(workers or os.cpu_count() or 1))  # lines for progress bars
+    places = list(range(workers or cores()))  # lines for progress bars
     failures: list[str] = []
     with stopping_on_sigterm():
         try:
@@ -179,6 +186,13 @@ def train_all(wanted: list[Run], workers: int | None = None) -> list[str]:
                 worker.process.join()
             raise
     return failures + left_waiting(pending)
+
+
+def cores() -> int:
+    """The processor cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 class _Worker:

@@ -115,8 +115,16 @@ class Parameters(BaseModel):
     device: Literal["auto", "cpu", "cuda"] = Field("auto", description="where networks live")
     evaluation_games: int = Field(100, ge=1, description="games of the final evaluation")
     evaluation_epsilon: Number = Field(0.001, ge=0, le=1, description="probability, evaluating")
+    evaluation_difficulties: list[int] = Field(
+        [], description="switches; the final evaluation is repeated with each"
+    )
+    evaluation_stickiness: list[Annotated[Number, Field(ge=0, lt=1)]] = Field(
+        [], description="probabilities a frame; likewise"
+    )
 
-    @field_validator("agents", "seeds", "snapshot_games")
+    @field_validator(
+        *("agents", "seeds", "snapshot_games", "evaluation_difficulties", "evaluation_stickiness")
+    )
     @classmethod
     def _no_repeats(cls, values: list) -> list:
         if len(set(values)) != len(values):
@@ -125,10 +133,12 @@ class Parameters(BaseModel):
 
     @model_validator(mode="after")
     def _fits_together(self) -> "Parameters":
-        if self.difficulty not in DIFFICULTIES[self.game]:
-            raise _key_error(
-                "difficulty", self.difficulty, f"{self.game} has {DIFFICULTIES[self.game]}"
-            )
+        allowed = DIFFICULTIES[self.game]
+        if self.difficulty not in allowed:
+            raise _key_error("difficulty", self.difficulty, f"{self.game} has {allowed}")
+        if not set(self.evaluation_difficulties) <= set(allowed):
+            key = "evaluation_difficulties"
+            raise _key_error(key, self.evaluation_difficulties, f"{self.game} has {allowed}")
         if self.replay_capacity % self.environments:
             raise _key_error(
                 "replay_capacity",
@@ -165,6 +175,7 @@ class Parameters(BaseModel):
 
 NOT_VARIANT = {"experiment", "profile", "agents", "seeds", "episodes", "device", "variations"}
 NOT_TRAINING = NOT_VARIANT | {"snapshot_games", "evaluation_games", "evaluation_epsilon"}
+NOT_TRAINING |= {"evaluation_difficulties", "evaluation_stickiness"}
 
 
 def _check_variation(params: Parameters, label: str, changes: dict[str, Any]) -> None:
@@ -281,12 +292,20 @@ def resolve(values: dict[str, Any], folder: Path) -> Parameters:
     """Parameters from a notebook's values: `experiment` and `profile` name a file in `folder`
     (the project's params/), and the other values are put on top of it, as `load` does.
 
-    An experiment without a file there must bring all that differs from the defaults.
+    An experiment without a file there must bring all that differs from the defaults, and at least
+    one such value, lest a name that is spelt wrong trains something else.
     """
     given = parse(values, "notebook parameters")
     profile = "" if given.profile == "full" else given.profile
     path = folder / profile / f"{given.experiment}.yaml"
-    return load(path, values) if path.exists() else given
+    if path.exists():
+        return load(path, values)
+    if set(values) <= NOT_TRAINING:
+        raise ParameterError(
+            f"experiment: {given.experiment!r} is not allowed: there is no {path}, and "
+            "no parameter of the training is given"
+        )
+    return given
 
 
 def pick(params: Parameters, agent: str | None, seed: int | None) -> Parameters:

@@ -264,14 +264,17 @@ class Recorder:
         path = self.publish()
         (folder / "evaluations.csv").unlink(missing_ok=True)  # an earlier model's
         network = evaluation.load_model(path, parameters)
+        settings, games = evaluation.conditions(parameters), parameters.evaluation_games
         played = []
-        games = evaluation.play(network, parameters, parameters.evaluation_games, self.run.seed)
-        for game in tqdm(
-            games, total=parameters.evaluation_games, desc="evaluating", leave=False, mininterval=2
-        ):
-            played.append(game)
-            if stopped():
-                raise KeyboardInterrupt
+        with tqdm(
+            total=len(settings) * games, desc="evaluating", leave=False, mininterval=2
+        ) as bar:
+            for setting in settings:
+                for game in evaluation.play(network, setting, games, self.run.seed):
+                    played.append(game)
+                    bar.update()
+                    if stopped():
+                        raise KeyboardInterrupt
         store_evaluation(folder, played)
         self.write_provenance()
         self.write_status(COMPLETE)

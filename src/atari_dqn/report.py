@@ -6,6 +6,7 @@ The previous report stays in place until a whole new one has been made.
 
 import multiprocessing
 import os
+import os
 import shutil
 import tempfile
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -71,7 +72,7 @@ def _execute(profile: str, folder: Path) -> list[Path]:
         if not (executed.exists() and stamp.exists() and stamp.read_text() == fresh):
             stale.append((notebook, fresh))
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(os.cpu_count(), mp_context=context) as pool:
+    with ProcessPoolExecutor(experiments.cores(), mp_context=context) as pool:
         jobs = {
             pool.submit(_execute_one, notebook, target, profile, folder): (notebook, fresh)
             for notebook, fresh in stale
@@ -89,6 +90,7 @@ def _execute(profile: str, folder: Path) -> list[Path]:
 
 def _execute_one(notebook: Path, target: Path, profile: str, folder: Path) -> None:
     """Executes one notebook; raises RunError that names the section, the cell and the error."""
+    os.environ["OMP_NUM_THREADS"] = "1"  # of the notebook's process: another has the other core
     partial = target / f".{notebook.name}"
     (target / notebook.name).unlink(missing_ok=True)
     try:

@@ -111,10 +111,61 @@ def show_evaluations(section: Section) -> None:
     )
 
 
+def show_conditions(section: Section) -> None:
+    """The evaluation games at other difficulties, and with sticky actions."""
+    label, p = f"tbl-{section.slug}-conditions", section.params
+    table = section.all_evaluations
+    settings = ["difficulty", "sticky_actions"]
+    if table.empty or len(table[settings].drop_duplicates()) < 2:
+        hold_places(label)
+        return
+    rows = []
+    played = table[table.epsilon == p.evaluation_epsilon]
+    for (agent, seed), own in played.groupby(["agent", "seed"], sort=False):
+        row = {"agent": runs.title(str(agent)), "seed": seed}
+        for (difficulty, sticky), games in own.groupby(settings):
+            condition = f"difficulty {difficulty}" + (f", sticky {sticky:g}" if sticky else "")
+            low, high = interval(games.score.to_numpy())
+            row[condition] = f"{games.score.mean():.1f} ({low:.1f} to {high:.1f})"
+        rows.append(row)
+    show_table(
+        pd.DataFrame(rows),
+        label=label,
+        caption=f"{section.facts.title}, `{p.experiment}`: mean score of evaluation games under "
+        f"conditions that the agents were not trained for; they were trained at difficulty "
+        f"{p.difficulty} without sticky actions. Intervals are over games.",
+    )
+
+
+def show_discounts(sections: list[Section], agent: str, label: str) -> None:
+    """One agent's curves with different discounts."""
+    curves = [
+        section.episodes[section.episodes.agent == agent].assign(
+            variation=f"discount {section.params.gamma:g}"
+        )
+        for section in sections
+        if agent in set(section.episodes.get("agent", []))
+    ]
+    window, facts = sections[0].curve_window, sections[0].facts
+    curves = [curve for curve in curves if len(curve) >= window]
+    if len(curves) < 2:
+        hold_places(label)
+        return
+    show_figure(
+        plots.comparison(pd.concat(curves), facts, window, "variation"),
+        label=label,
+        caption=f"{facts.title}: {runs.title(agent)} with different discounts; mean raw score of "
+        f"the last {window} training games.",
+        alt="Learning curves of one agent with different discounts.",
+        data=", ".join(section.origin for section in sections),
+    )
+
+
 def _evaluated(section: Section, agent: str, seed: int, games: pd.DataFrame) -> dict:
     row = {
         "agent": runs.title(agent),
         "seed": seed,
+        "training games": int(games.trained_games.max()),
         "games": len(games),
         "mean score": games.score.mean(),
         "95% interval": "–",

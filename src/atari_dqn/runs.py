@@ -6,7 +6,8 @@
         timing.csv          episode, seconds of training so far; not reproducible
         values.csv          a row every 100 games: predicted and realised values
                             (evaluation.ValueCheck)
-        evaluations.csv     a row a game of greedy play (evaluation.PlayedGame)
+        evaluations.csv     a row a game of greedy play (evaluation.PlayedGame, and the games
+                            of training behind the model)
         model.safetensors   the online network, float16, when the run was last stopped or ended
         snapshots/          the same after the games that `snapshot_games` names
         status.json         state, episodes_done, episodes
@@ -128,7 +129,11 @@ class Run:
             return None
         if source.state() != COMPLETE:
             raise RunError(f"{self.name} starts from {source.name}, which is {source.state()}")
-        return evaluation.read_model(source.folder / "model.safetensors")
+        path = source.folder / "model.safetensors"
+        try:
+            return evaluation.read_model(path)
+        except (SafetensorError, OSError) as error:
+            raise RunError(f"{path}, which {self.name} starts from: {error}") from None
 
     def models(self) -> dict[int, Path]:
         """{games of training: file} of the stored models: snapshots, and the newest."""
@@ -225,9 +230,11 @@ def evaluate(
 
 
 def store_evaluation(folder: Path, played: list[PlayedGame]) -> None:
-    """Adds games to evaluations.csv, in the place of the same games of the same settings."""
+    """Adds games of the folder's model to evaluations.csv, in the place of the same games of the
+    same settings."""
     path = folder / "evaluations.csv"
     table = pd.DataFrame([asdict(game) for game in played])
+    table["trained_games"] = evaluation.trained_games(folder / "model.safetensors")
     settings = ["difficulty", "sticky_actions", "epsilon", "seed"]
     if path.exists():
         table = pd.concat([pd.read_csv(path), table])

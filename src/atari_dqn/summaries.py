@@ -1,0 +1,151 @@
+"""Sentences of the report that are computed: what the stored runs have shown so far."""
+
+import pandas as pd
+
+from atari_dqn import runs
+from atari_dqn.claims import FINDINGS, NOT_YET, findings
+from atari_dqn.sections import Section, Study
+from atari_dqn.statistics import trailing_mean
+
+EARLY = 500  # games, before which an agent still acts mostly at random
+RECENT = 100  # games, of which a run's present score is the mean
+
+
+def headline(study: Study) -> str:
+    """One paragraph: how far the runs are, and how the claims stand."""
+    section = study["boxing_final"]
+    judged = findings(study).verdict.value_counts()
+    done = judged.drop(NOT_YET, errors="ignore")
+    played = sum(len(each.episodes) for each in study.sections.values())
+    planned = sum(len(each.runs) * each.params.episodes for each in study.sections.values())
+    best, games, score = _best(section)
+    if games < min(EARLY, section.params.episodes):
+        text = f"Training has only begun: {played:,} of {planned:,} planned games are played."
+    else:
+        level = "above" if score > section.facts.human else "below"
+        text = (
+            f"After {games:,} games of Boxing the best agent so far, {best}, scores {score:.1f} "
+            f"points a game while still exploring, {level} the human reference of "
+            f"{section.facts.human:g} (random play: {section.facts.random:g})."
+        )
+    counted = ", ".join(f"{number} {verdict}" for verdict, number in done.items()) or "none yet"
+    return (
+        f"**{text}** Of {judged.sum()} claims of the source report that runs can judge, "
+        f"{done.sum()} are judged so far ({counted})."
+    )
+
+
+def _best(section: Section) -> tuple[str, int, float]:
+    """The agent with the best mean of late, its games, and that mean over its last 100 games."""
+    if section.episodes.empty:
+        return "", 0, 0.0
+    recent = section.episodes.groupby(["agent", "seed"]).tail(RECENT)
+    means = recent.groupby(["agent", "seed"]).score.mean()
+    agent, seed = means.idxmax()
+    own = section.episodes[(section.episodes.agent == agent) & (section.episodes.seed == seed)]
+    return runs.title(agent), int(own.episode.max()), float(means.max())
+
+
+def conclusion(study: Study) -> str:
+    """A sentence a game on which agent is ahead, and a list of the claims that are judged."""
+    said = []
+    for name in ("boxing_final", "breakout_final"):
+        section = study[name]
+        best, games, score = _best(section)
+        if games >= min(EARLY, section.params.episodes):
+            level = "above" if score > section.facts.human else "below"
+            said.append(
+                f"In {section.facts.title} {best} is ahead after {games:,} games, with {score:.1f} "
+                f"points a game over its last {RECENT}, {level} the human {section.facts.human:g}."
+            )
+    found = findings(study)
+    for verdict, rows in found[found.verdict != NOT_YET].groupby("verdict", sort=False):
+        said.append(f"*{str(verdict).capitalize()}*: {'; '.join(rows.claim)}.")
+    return "\n\n".join(said)
+
+
+def cards(study: Study) -> str:
+    """Four numbers, as a division of class `card`."""
+    section = study["boxing_final"]
+    games = sum(len(each.episodes) for each in study.sections.values())
+    judged = findings(study).verdict
+    _, played, score = _best(section)
+    window = min(RECENT, played)
+    numbers = [
+        (f"{score:.1f}", f"points in Boxing: the best mean of a run's last {window} games")
+        if played
+        else ("–", "points in Boxing: no game is stored yet"),
+        (f"{section.facts.human:g}", "points: a human tester's mean"),
+        (f"{games:,}", "training games stored"),
+        (f"{(judged != NOT_YET).sum()} of {len(judged)}", "claims of the source report judged"),
+    ]
+    cells = "\n".join(f"::: {{}}\n**{number}** {what}\n:::" for number, what in numbers)
+    return f":::: {{.card}}\n{cells}\n::::"
+
+
+def reading(study: Study, experiment: str) -> str:
+    """What an experiment has shown: a line a run, and the verdicts on the claims about it."""
+    section = study[experiment]
+    lines = []
+    if not section.episodes.empty:
+        for (agent, seed), games in section.episodes.groupby(["agent", "seed"], sort=False):
+            seeds = f", seed {seed}" if len(section.params.seeds) > 1 else ""
+            lines.append(f"- {runs.title(str(agent))}{seeds}{_progress(section, games)}.")
+    waiting = 0
+    for claim in FINDINGS:
+        if experiment not in claim.experiments:
+            continue
+        found = claim.judge(study)
+        if found.verdict == NOT_YET:
+            waiting += 1
+        else:
+            lines.append(f"- *{found.verdict.capitalize()}*: {claim.text}. ({found.evidence})")
+    if waiting:
+        number = "One more claim waits" if waiting == 1 else f"{waiting} more claims wait"
+        lines.append(f"- {number} for games that are still to be played (@tbl-findings).")
+    head = "**What was found:**" if section.complete else "**What was found so far:**"
+    return f"{head}\n\n" + "\n".join(lines)
+
+
+def _progress(section: Section, games: pd.DataFrame) -> str:
+    """How a run has gone: where it stands, when it passed the human score, how steady it was."""
+    window, human = min(RECENT, section.params.episodes), section.facts.human
+    number = int(games.episode.max())
+    means = trailing_mean(games.set_index("episode").score, window).dropna()
+    if means.empty:
+        return f" has played {number:,} games, too few for a mean of {window}"
+    text = (
+        f" scores {means.iloc[-1]:.1f} points a game over the last {window} of {number:,} games, "
+        f"{games.epsilon.iloc[-1]:.0%} of its actions being random"
+    )
+    above = means[means > human]
+    if len(above):
+        text += f"; the mean of {window} games first passed the human {human:g} after game "
+        text += f"{above.index[0]:,}"
+    fall = (means.cummax() - means).max()
+    return f"{text}; its curve has fallen back by at most {fall:.1f} points from its best so far"
+
+
+def list_of_findings() -> str:
+    """The claims as a list, for a reader who has not seen the source report."""
+    listed = enumerate(FINDINGS, start=1)
+    return "\n".join(f"{number}. {claim.text}." for number, claim in listed)
+
+
+OBJECTIVES = {
+    "Explore the concepts and methods of reinforcement learning": "@sec-background",
+    "Understand the algorithms: architecture, training, mathematics": "@sec-design",
+    "Build deep networks, losses and hyper-parameter tuning in PyTorch": (
+        "@sec-networks, @sec-sensitivity"
+    ),
+    "Train agents in Gymnasium's environments": "@sec-results",
+    "Evaluate: learning curves, convergence, interpretation": "@sec-findings",
+    "Document and communicate": "this report; @sec-repeat",
+}
+
+
+def objectives() -> pd.DataFrame:
+    """The source report's six learning objectives, and the sections that serve them."""
+    return pd.DataFrame(
+        {"objective": OBJECTIVES.keys(), "where this study serves it": OBJECTIVES.values()}
+    )
