@@ -26,10 +26,18 @@ def show_throughput() -> None:
     best = measured.loc[measured.groupby(["library", "agent"]).steps_per_second.idxmax()]
     best = best.sort_values("steps_per_second", ascending=False)
     figure, axes = plt.subplots(figsize=(plots.WIDTH, 2.6))
+    colours = {AGENTS[agent].title: plots.COLOURS[agent] for agent in best.agent.unique()}
     shown = best.assign(agent=best.agent.map(lambda agent: AGENTS[agent].title))
-    sns.barplot(shown, x="steps_per_second", y="library", hue="agent", palette="muted", ax=axes)
+    sns.barplot(shown, x="steps_per_second", y="library", hue="agent", palette=colours, ax=axes)
     for bars in axes.containers:
         axes.bar_label(bars, fmt="%.0f", padding=3, fontsize="small")
+    ours = best[best.library == OURS].set_index("agent")
+    for agent, roof in (ours.steps_per_second / ours.share_of_roofline).items():
+        axes.axvline(roof, color=plots.COLOURS[agent], ls="--", lw=1)
+        axes.annotate(
+            "roofline", (roof, 0.02), xycoords=("data", "axes fraction"), xytext=(-2, 0),
+            textcoords="offset points", rotation=90, ha="right", fontsize="x-small", color="0.35",
+        )  # fmt: skip
     axes.set(xlabel="agent steps a second, whole machine, best set-up", ylabel="")
     axes.legend(title=None, loc="lower right")
     show_figure(
@@ -37,11 +45,11 @@ def show_throughput() -> None:
         label="fig-throughput",
         caption=f"Training speed on {machine['cores']} cores of an {machine['processor']}: Boxing, "
         "batch 32, one update every 4 agent steps, everything included. Each library in its "
-        "best set-up; `throughput.csv` has them all.",
+        "best set-up; `throughput.csv` has them all. Dashed: what the machine could do at most.",
         alt="Bars of agent steps a second for this project and its peers.",
         data=f"{FOLDER}/throughput.csv",
     )
-    ours = best[(best.library == OURS) & (best.agent == "dqn")].iloc[0]
+    ours = ours.loc["dqn"]
     show_text(
         f"With DQN this project makes {ours.steps_per_second:.0f} agent steps a second, "
         f"{ours.ratio_to_best_peer:.2f} times the faster of the two in its best set-up. That is "

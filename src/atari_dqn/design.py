@@ -1,5 +1,9 @@
 """What section 02 and the appendix show of the design: computed from modules, files and frames."""
 
+import inspect
+import textwrap
+from collections.abc import Callable
+
 import numpy as np
 import pandas as pd
 import torch
@@ -49,6 +53,12 @@ def layer_table(stack: int = 4, actions: int = 18) -> pd.DataFrame:
             layer.register_forward_hook(record)
     network(torch.zeros(1, 84, 84, stack, dtype=torch.uint8))
     return pd.DataFrame(rows)
+
+
+def listing(*things: Callable) -> str:
+    """The source of functions, as a block of code."""
+    code = (textwrap.dedent(inspect.getsource(thing)).rstrip() for thing in things)
+    return "```python\n" + "\n\n\n".join(code) + "\n```"
 
 
 def memory_text(images: int = 2000) -> str:

@@ -6,7 +6,6 @@ The previous report stays in place until a whole new one has been made.
 
 import multiprocessing
 import os
-import os
 import shutil
 import tempfile
 from concurrent.futures import ProcessPoolExecutor, as_completed
