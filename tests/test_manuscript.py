@@ -74,7 +74,10 @@ def test_a_bad_label_or_a_silent_figure_fails_and_is_named(text, said):
 def test_what_the_report_does_not_show_fails_and_is_named(tmp_path):
     path = tmp_path / "completeness.yaml"
     path.write_text("figures:\n  - {what: a loop, labels: [fig-one]}\n")
-    manuscript.check_completeness(TEXT, path)
+    assert manuscript.check_completeness(TEXT, path) == (1, 0)
+    waiting = TEXT + "\n\n::: {#tbl-later .absent}\nNot yet.\n:::\n"
+    path.write_text("figures:\n  - {what: a loop, labels: [fig-one, tbl-later]}\n")
+    assert manuscript.check_completeness(waiting, path) == (1, 1)
     path.write_text("figures:\n  - {what: a ring, labels: [fig-ring]}\n")
     with pytest.raises(RunError, match=r"figures: a ring \(fig-ring\)"):
         manuscript.check_completeness(TEXT, path)

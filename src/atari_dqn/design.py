@@ -130,7 +130,9 @@ def differences(of: list[Parameters]) -> pd.DataFrame:
 
 
 def _text(value: object) -> str:
-    return f"{value:g}" if isinstance(value, float) else str(value)
+    if isinstance(value, float):
+        return f"{value:g}"
+    return f"{value:,}" if type(value) is int else str(value)
 
 
 def deviations() -> pd.DataFrame:

@@ -52,10 +52,10 @@ def labels(text: str) -> set[str]:
     return {match[1] for match in _LABEL.finditer(text)}
 
 
-def check_completeness(text: str, path: Path) -> None:
-    """Raises RunError if something of the source report has no place in `text`.
+def check_completeness(text: str, path: Path) -> tuple[int, int]:
+    """How many things the source report holds, and how many of them wait for runs in `text`.
 
-    The file at `path` lists what the source report holds: {group: [{..., labels: [label, ...]}]}.
+    Raises RunError if one has no place at all. The file at `path` lists what the source report holds: {group: [{..., labels: [label, ...]}]}.
     """
     present = labels(text)
     groups = YAML(typ="safe", pure=True).load(path.read_text(encoding="utf-8"))
@@ -68,6 +68,9 @@ def check_completeness(text: str, path: Path) -> None:
     ]
     if gaps:
         raise RunError(f"{path.name} lists what the report does not show: {'; '.join(gaps)}")
+    absent = {match[1] for match in _LABEL.finditer(text) if match[2]}
+    entries = [entry for group in groups.values() for entry in group]
+    return len(entries), sum(not absent.isdisjoint(entry["labels"]) for entry in entries)
 
 
 def _numbers(text: str) -> dict[str, str]:

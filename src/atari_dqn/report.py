@@ -44,7 +44,8 @@ def build(profile: str, results: Path | None = None) -> Path:
     with tempfile.TemporaryDirectory() as temporary:
         made = Path(temporary)
         text = "\n\n".join(_section(path, made) for path in executed)
-        manuscript.check_completeness(text, data / "completeness.yaml")
+        listed, waiting = manuscript.check_completeness(text, data / "completeness.yaml")
+        print(f"{listed} things of the source report have their places; {waiting} wait for runs")
         text = manuscript.finish(text) + "\n\n# References {.unnumbered}\n"
         _typeset(text, STAMP[profile], made)
         target = folder / "report"
