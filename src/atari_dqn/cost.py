@@ -8,7 +8,7 @@ from matplotlib import pyplot as plt
 
 from atari_dqn import plots, provenance, runs
 from atari_dqn.agents import AGENTS
-from atari_dqn.exhibits import show_absent, show_figure, show_table, show_text
+from atari_dqn.exhibits import hold_places, show_absent, show_figure, show_table, show_text
 from atari_dqn.sections import Study, data
 
 OURS = "atari-dqn"
@@ -74,6 +74,58 @@ def show_breakdown() -> None:
         label="tbl-breakdown",
         caption="Where the time of an update and its four agent steps goes: one process, one "
         "thread; and how near the processor's highest speed the arithmetic comes.",
+    )
+
+
+def show_settings() -> None:
+    """What single changes of the settings score for the same processor time."""
+    figure_label, table_label = "fig-settings-study", "tbl-settings-study"
+    path = runs.project_root() / FOLDER / "settings.csv"
+    if not path.exists():
+        show_absent(figure_label, "`python benchmarks/settings.py` has not been run.")
+        hold_places(table_label)
+        return
+    measured = pd.read_csv(path)
+    guessed, trained = measured[measured.cpu_minutes.isna()], measured.dropna(subset="cpu_minutes")
+    figure, axes = plt.subplots(figsize=(plots.WIDTH, 3.2))
+    for colour, (marker, (name, rows)) in zip(
+        sns.color_palette("colorblind"),
+        zip("osD^vP", trained.groupby("setup", sort=False), strict=False),
+        strict=False,
+    ):
+        errors = (rows.score - rows.low, rows.high - rows.score)
+        axes.errorbar(
+            rows.cpu_minutes, rows.score, errors, label=name, color=colour, marker=marker,
+            ms=4, lw=1.3, capsize=2, elinewidth=0.8,
+        )  # fmt: skip
+    axes.axhline(guessed.score.mean(), color="0.45", lw=0.8, ls=":", label="random play")
+    axes.set(xlabel="processor time of training (minutes)", ylabel="score of 50 greedy games")
+    axes.legend(fontsize="small")
+    show_figure(
+        figure,
+        label=figure_label,
+        caption="Double DQN in Boxing, one setting changed at a time, for the same processor time. "
+        "Bars are 95% bootstrap intervals over 50 evaluation games of one run each.",
+        alt="Scores of greedy evaluation games against processor time, a line a setting.",
+        data=f"{FOLDER}/settings.csv",
+    )
+    last = measured.groupby("setup", sort=False).tail(1)
+    shown = pd.DataFrame(
+        {
+            "setting": last.setup,
+            "minutes": last.cpu_minutes,
+            "training games": last.training_games.map("{:,.0f}".format).replace("nan", "–"),
+            "updates": last.updates.map("{:,.0f}".format).replace("nan", "–"),
+            "score": last.score,
+            "95% interval": [f"{row.low:.1f} to {row.high:.1f}" for row in last.itertuples()],
+        }
+    )
+    show_table(
+        shown,
+        label=table_label,
+        caption="The same: the last evaluation of each. One run each, so that differences of a few "
+        "points say little.",
+        decimals=1,
     )
 
 

@@ -55,7 +55,8 @@ def labels(text: str) -> set[str]:
 def check_completeness(text: str, path: Path) -> tuple[int, int]:
     """How many things the source report holds, and how many of them wait for runs in `text`.
 
-    Raises RunError if one has no place at all. The file at `path` lists what the source report holds: {group: [{..., labels: [label, ...]}]}.
+    Raises RunError if one has no place at all. The file at `path` lists what the source report
+    holds: {group: [{..., labels: [label, ...]}]}.
     """
     present = labels(text)
     groups = YAML(typ="safe", pure=True).load(path.read_text(encoding="utf-8"))

@@ -219,12 +219,16 @@ def show_variations(section: Section, reference: Section, agent: str) -> None:
         data=section.origin + "episodes.csv",
     )
     last = sweep[sweep.episode > sweep.groupby("variation").episode.transform("max") - window]
+    evaluated = section.evaluations
+    greedy = {} if evaluated.empty else evaluated.groupby("variation").score.mean().to_dict()
     rows = [
         {
             "variation": name,
             "games": int(found.episode.max()),
+            "hours": found.seconds.max() / 3600,
             f"mean of the last {window} games": found.score.mean(),
             "95% interval": "{:.1f} to {:.1f}".format(*interval(found.score.to_numpy())),
+            "evaluation": greedy.get(name, np.nan),
         }
         for name, found in last.groupby("variation", sort=False)
         if len(found) > 1
@@ -235,8 +239,9 @@ def show_variations(section: Section, reference: Section, agent: str) -> None:
     show_table(
         pd.DataFrame(rows),
         label=table,
-        caption=f"{section.facts.title}, `{section.params.experiment}`: training scores with "
-        "exploration. Intervals are over games of one run (bootstrap), not over seeds.",
+        caption=f"{section.facts.title}, `{section.params.experiment}`: core-hours; training "
+        "scores with exploration; and the mean of the greedy evaluation games of a run that is finished. "
+        "Intervals are over games of one run (bootstrap), not over seeds.",
         decimals=1,
     )
 
@@ -254,12 +259,13 @@ def show_transfer(transferred: Section, scratch: Section) -> None:
         if games < window:
             continue
         with_, without = (_first_games(table, int(games)) for table in (ours, theirs))
-        start, end = slice(0, window // 5), slice(-window, None)
+        end = slice(-window, None)
+        early = [_greedy(section, agent, window) for section in (transferred, scratch)]
         rows.append(
             {
                 "agent": runs.title(agent),
                 "games": int(games),
-                "jump-start": (with_[start] - without[start]).mean(),
+                "jump-start": early[0] - early[1],
                 "area ratio": (with_.sum() - without.sum()) / abs(without.sum()),
                 "difference at the end": (with_[end] - without[end]).mean(),
             }
@@ -271,9 +277,18 @@ def show_transfer(transferred: Section, scratch: Section) -> None:
         pd.DataFrame(rows),
         label=label,
         caption=f"{transferred.facts.title}: what the start from Breakout is worth, over the games "
-        f"that both runs have played: points in the first {window // 5} games, share of the area "
-        f"under the curve from scratch, points in the last {window} games.",
+        f"that both runs have played: points in greedy games during the first {window} training "
+        f"games, share of the area under the curve from scratch, points in the last {window} "
+        "training games.",
     )
+
+
+def _greedy(section: Section, agent: str, games: int) -> float:
+    """Mean score of the greedy games during an agent's first training games; nan without any."""
+    values = section.values
+    if values.empty:
+        return np.nan
+    return values[(values.agent == agent) & (values.episode <= games)].score.mean()
 
 
 def _first_games(table: pd.DataFrame, games: int) -> np.ndarray:

@@ -253,10 +253,14 @@ def write_atomically(path: Path, data: bytes) -> None:
 
 
 def read_table(runs: list[Run], name: str) -> pd.DataFrame:
-    """One table of all runs' `name` (episodes.csv, ...), with experiment, agent and seed."""
+    """One table of all runs' `name` (episodes.csv, ...), with experiment, variation, agent and
+    seed."""
     tables = [
         pd.read_csv(run.folder / name).assign(
-            experiment=run.params.experiment, agent=run.agent, seed=run.seed
+            experiment=run.params.experiment,
+            variation=run.variation,
+            agent=run.agent,
+            seed=run.seed,
         )
         for run in runs
         if (run.folder / name).exists()

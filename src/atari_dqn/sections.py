@@ -104,7 +104,7 @@ class Section:
         """A row a training game: `training.Episode`, agent, seed, variation, seconds so far."""
         tables = []
         for run in self.usable:
-            table = runs.read_table([run], "episodes.csv").assign(variation=run.variation)
+            table = runs.read_table([run], "episodes.csv")
             timing = runs.read_table([run], "timing.csv")
             if not table.empty:
                 tables.append(table.merge(timing[["episode", "seconds"]], "left", "episode"))
