@@ -84,7 +84,10 @@ def cards(study: Study) -> str:
 
 
 def reading(study: Study, experiment: str) -> str:
-    """What an experiment has shown: a line a run, and the verdicts on the claims about it."""
+    """What an experiment has shown: a line a run, and the verdicts on the claims about it.
+
+    Empty where nothing can be said yet.
+    """
     section = study[experiment]
     lines = []
     if not section.episodes.empty:
@@ -100,6 +103,8 @@ def reading(study: Study, experiment: str) -> str:
             waiting += 1
         else:
             lines.append(f"- *{found.verdict.capitalize()}*: {claim.text}. ({found.evidence})")
+    if not lines:
+        return ""
     if waiting:
         number = "One more claim waits" if waiting == 1 else f"{waiting} more claims wait"
         lines.append(f"- {number} for games that are still to be played (@tbl-findings).")

@@ -1,0 +1,65 @@
+"""The tables that the report's sections share follow from the stored runs."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from test_claims import store
+
+from atari_dqn import results
+from atari_dqn.sections import Section
+
+
+@pytest.fixture
+def tables(monkeypatch):
+    """{label: table} of what is shown; places that are only held are missing."""
+    shown = {}
+
+    def show(table, label, caption, decimals=2):
+        shown[label] = table
+
+    monkeypatch.setattr(results, "show_table", show)
+    monkeypatch.setattr(results, "show_figure", lambda *_, **__: None)
+    return shown
+
+
+def test_transfer_is_measured_over_the_games_that_both_runs_have(tmp_path, tables):
+    scratch = store(tmp_path, "boxing_final", "dqn", np.full(1200, 10.0))
+    moved = store(tmp_path, "boxing_transfer", "dqn", np.full(900, 15.0))
+    for run, score in ((scratch, 2.0), (moved, 12.0)):
+        checks = pd.DataFrame({"episode": [100, 200, 900], "score": [score, score, 99.0]})
+        checks.to_csv(run.folder / "values.csv", index=False)
+    sections = [
+        Section(name, "full", str(tmp_path)) for name in ("boxing_transfer", "boxing_final")
+    ]
+    results.show_transfer(*sections)
+    (row,) = tables["tbl-transfer"].to_dict("records")
+    assert row["games"] == 900
+    assert row["jump-start"] == 10.0, "greedy, of the first 500 games"
+    assert row["area ratio"] == pytest.approx(0.5)
+    assert row["difference at the end"] == pytest.approx(5.0)
+
+
+def test_evaluations_under_other_conditions_are_columns_and_never_mixed(tmp_path, tables):
+    run = store(tmp_path, "boxing_final", "dqn", np.full(3000, 50.0))
+    rows = [
+        {"game": game, "score": score + game, "difficulty": difficulty, "sticky_actions": sticky}
+        for (difficulty, sticky), score in {(0, 0.0): 90, (1, 0.0): 60, (0, 0.25): 30}.items()
+        for game in range(3)
+    ]
+    table = pd.DataFrame(rows).assign(epsilon=0.001, won=True, knockout=0, trained_games=3000)
+    table.to_csv(run.folder / "evaluations.csv", index=False)
+    section = Section("boxing_final", "full", str(tmp_path))
+    results.show_conditions(section)
+    results.show_evaluations(section)
+    (row,) = tables["tbl-boxing-final-conditions"].to_dict("records")
+    assert row["difficulty 0"].startswith("91.0 (90.0 to")
+    assert row["difficulty 1"].startswith("61.0 ")
+    assert row["difficulty 0, sticky 0.25"].startswith("31.0 ")
+    (row,) = tables["tbl-boxing-final-evaluation"].to_dict("records")
+    assert (row["games"], row["mean score"], row["training games"]) == (3, 91.0, 3000)
+
+
+def test_one_condition_alone_is_no_comparison(tmp_path, tables):
+    store(tmp_path, "boxing_final", "dqn", np.full(600, 50.0))
+    results.show_conditions(Section("boxing_final", "full", str(tmp_path)))
+    assert not tables
