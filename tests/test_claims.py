@@ -6,8 +6,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from scipy import stats
 
-from atari_dqn import claims, params, runs, summaries
+from atari_dqn import claims, params, runs, summaries, verdicts
 from atari_dqn.params import TRAINING_VERSION
 from atari_dqn.sections import Study
 
@@ -39,8 +40,8 @@ def store(results, experiment, agent, scores):
     return run
 
 
-def scores(mean, games=3000):
-    return mean + np.random.default_rng(0).normal(0, 5, games)
+def scores(mean, games=3000, seed=0):
+    return mean + np.random.default_rng(seed).normal(0, 5, games)
 
 
 def verdict(results, claim):
@@ -53,19 +54,21 @@ BEST = "Double DQN ends highest in Boxing"
 
 def test_without_runs_every_claim_is_not_yet_run(tmp_path):
     study = Study("full", str(tmp_path))
-    assert set(claims.findings(study).verdict) == {claims.NOT_YET}
-    assert set(claims.goals(study).state) == {claims.NOT_YET}
+    assert set(claims.findings(study).verdict) == {verdicts.NOT_YET}
+    assert set(claims.goals(study).here) == {verdicts.NOT_YET}
+    assert set(claims.interpretations(study).verdict) == {verdicts.NOT_YET, "not tested"}
     assert summaries.reading(study, "boxing_low_gamma") == ""
     assert "Training has only begun: 0 of" in summaries.headline(study)
 
 
 @pytest.mark.parametrize(
     ("double", "expected"),
-    [(92.0, claims.SUPPORTED), (60.0, claims.CONTRADICTED), (80.05, claims.INCONCLUSIVE)],
+    [(92.0, verdicts.SUPPORTED), (60.0, verdicts.CONTRADICTED), (80.05, verdicts.INCONCLUSIVE)],
 )
 def test_a_comparison_is_judged_by_the_interval_of_the_difference(tmp_path, double, expected):
-    for agent, mean in (("dqn", 80.0), ("double_dqn", double), ("dueling_double_dqn", 80.0)):
-        store(tmp_path, "boxing_final", agent, scores(mean))
+    means = {"dqn": 80.0, "double_dqn": double, "dueling_double_dqn": 80.0}
+    for seed, (agent, mean) in enumerate(means.items()):
+        store(tmp_path, "boxing_final", agent, scores(mean, seed=seed))
     found = verdict(tmp_path, BEST)
     assert found.verdict == expected
     assert "against DQN 79.7, difference" in found.evidence
@@ -74,10 +77,10 @@ def test_a_comparison_is_judged_by_the_interval_of_the_difference(tmp_path, doub
 def test_a_claim_about_games_not_yet_played_is_not_judged(tmp_path):
     for agent in ("dqn", "double_dqn", "dueling_double_dqn"):
         store(tmp_path, "boxing_final", agent, scores(50.0, games=1200))
-    assert verdict(tmp_path, BEST).verdict == claims.NOT_YET
-    assert "`boxing_final`: 40% of its games" in verdict(tmp_path, BEST).evidence
+    assert verdict(tmp_path, BEST).verdict == verdicts.NOT_YET
+    assert "`boxing_final` 40%" in verdict(tmp_path, BEST).evidence
     human = "All three agents exceed the human score in Boxing after 1,000 games"
-    assert verdict(tmp_path, human).verdict == claims.SUPPORTED
+    assert verdict(tmp_path, human).verdict == verdicts.SUPPORTED
 
 
 def test_a_changed_score_changes_the_numbers(tmp_path):
@@ -92,33 +95,35 @@ def test_a_changed_score_changes_the_numbers(tmp_path):
 
 
 def test_the_parts_of_a_claim_are_weighed_together():
-    parts = {kind: claims.Verdict(kind, kind) for kind in ("supported", "inconclusive")}
-    both = claims.all_of([*parts.values()])
+    parts = {kind: verdicts.Verdict(kind, kind) for kind in ("supported", "inconclusive")}
+    both = verdicts.all_of([*parts.values()])
     assert both.verdict == "inconclusive"
     assert both.evidence == "supported; inconclusive"
-    against = claims.all_of([claims.Verdict("contradicted", ""), claims.Verdict("not yet run", "")])
+    against = verdicts.all_of(
+        [verdicts.Verdict("contradicted", ""), verdicts.Verdict("not yet run", "")]
+    )
     assert against.verdict == "contradicted"
-    assert claims.negated(claims.Verdict("supported", "")).verdict == "contradicted"
-    assert claims.negated(claims.Verdict("inconclusive", "")).verdict == "inconclusive"
+    assert verdicts.negated(verdicts.Verdict("supported", "")).verdict == "contradicted"
+    assert verdicts.negated(verdicts.Verdict("inconclusive", "")).verdict == "inconclusive"
 
 
-def test_learning_that_falls_back_is_told_from_learning_that_rises(tmp_path):
+def test_a_curve_that_swings_is_told_from_one_that_rises(tmp_path):
     rising = np.linspace(0, 80, 3000)
     store(tmp_path, "boxing_final", "dqn", rising)
-    store(tmp_path, "boxing_early", "dqn", 20 + 15 * np.sin(np.arange(1400) / 100))
-    claim = "With them, learning is unstable: the curve falls back further from its best"
-    assert verdict(tmp_path, claim).verdict == claims.SUPPORTED
+    store(tmp_path, "boxing_early", "dqn", 2 + 1.5 * np.sin(np.arange(1400) / 40))
+    claim = "With them, the learning curve oscillates more"
+    assert verdict(tmp_path, claim).verdict == verdicts.SUPPORTED
     store(tmp_path, "boxing_early", "dqn", rising[:1400])
-    assert verdict(tmp_path, claim).verdict == claims.INCONCLUSIVE
+    assert verdict(tmp_path, claim).verdict == verdicts.INCONCLUSIVE
 
 
 def test_only_dqn_is_human_in_breakout_falls_with_a_better_double_dqn(tmp_path):
     claim = "Of the three, only DQN reaches the human score in Breakout"
     for agent, mean in (("dqn", 40.0), ("double_dqn", 15.0), ("dueling_double_dqn", 21.0)):
         store(tmp_path, "breakout_final", agent, scores(mean))
-    assert verdict(tmp_path, claim).verdict == claims.SUPPORTED
+    assert verdict(tmp_path, claim).verdict == verdicts.SUPPORTED
     store(tmp_path, "breakout_final", "double_dqn", scores(35.0))
-    assert verdict(tmp_path, claim).verdict == claims.CONTRADICTED
+    assert verdict(tmp_path, claim).verdict == verdicts.CONTRADICTED
 
 
 def test_a_reading_tells_where_a_run_stands_and_when_it_passed_the_human_score(tmp_path):
@@ -131,4 +136,68 @@ def test_a_reading_tells_where_a_run_stands_and_when_it_passed_the_human_score(t
     passed = int(mean.gt(12.1).idxmax()) + 1
     assert "DQN scores 20.0 points a game over the last 100 of 300 games, 22% of its" in text
     assert f"first passed the human 12.1 after game {passed};" in text
-    assert "5 more claims wait" in text
+    assert "claims 1, 2, 3, 4 wait for games" in text
+
+
+def evaluate(run, **columns):
+    """Gives a run an evaluation of 40 greedy games, whose columns have the given means."""
+    columns = {"distance": 40.0, **columns}
+    rng = np.random.default_rng(1)
+    games = {name: mean + rng.normal(0, 1, 40) for name, mean in columns.items()}
+    table = pd.DataFrame({"game": range(40), "difficulty": run.params.difficulty, **games})
+    table = table.assign(sticky_actions=0.0, epsilon=0.001, trained_games=run.params.episodes)
+    table.to_csv(run.folder / "evaluations.csv", index=False)
+
+
+def test_greedy_games_decide_where_two_set_ups_explore_differently(tmp_path):
+    claim = "A discount of 0.9 makes agents reckless: they concede more points than with 0.99"
+    for experiment, conceded in (("boxing_final", 10.0), ("boxing_low_gamma", 30.0)):
+        for agent in ("dqn", "double_dqn", "dueling_double_dqn"):
+            run = store(tmp_path, experiment, agent, scores(50.0))
+            evaluate(run, score=50.0, conceded=conceded)
+    found = verdict(tmp_path, claim)
+    assert found.verdict == verdicts.SUPPORTED
+    assert "conceded, greedy: DQN: `boxing_low_gamma` 30." in found.evidence
+    evaluate(run, score=50.0, conceded=1.0)
+    assert verdict(tmp_path, claim).verdict == verdicts.CONTRADICTED
+
+
+def test_no_gain_from_transfer_is_support_for_its_not_helping(tmp_path):
+    claim = claims.FINDINGS[-1].text
+    agents = ("dqn", "double_dqn", "dueling_double_dqn")
+    for agent in agents:
+        store(tmp_path, "boxing_final", agent, scores(50.0))
+        store(tmp_path, "boxing_transfer", agent, scores(50.0)[::-1])
+    assert verdict(tmp_path, claim).verdict == verdicts.SUPPORTED
+    for agent in agents:
+        store(tmp_path, "boxing_transfer", agent, scores(60.0))
+    assert verdict(tmp_path, claim).verdict == verdicts.CONTRADICTED
+
+
+def test_what_is_gained_counts_in_expert_mode_and_not_the_scale_of_its_scores(tmp_path):
+    claim = "All agents learn faster in expert mode: they gain more in the first 500 games"
+    rising = np.linspace(0, 30, 3000)
+    for agent in ("dqn", "double_dqn", "dueling_double_dqn"):
+        store(tmp_path, "boxing_final", agent, rising + scores(0, seed=1))
+        store(tmp_path, "boxing_expert", agent, rising + scores(20, seed=2))
+    assert verdict(tmp_path, claim).verdict == verdicts.INCONCLUSIVE
+    for agent in ("dqn", "double_dqn", "dueling_double_dqn"):
+        store(tmp_path, "boxing_expert", agent, 10 * rising + scores(0, seed=2))
+    assert verdict(tmp_path, claim).verdict == verdicts.SUPPORTED
+
+
+def test_three_seeds_a_side_are_compared_as_seeds(tmp_path):
+    section = Study("full", str(tmp_path))["boxing_final"]
+    section.__dict__["episodes"] = pd.DataFrame(
+        {
+            "agent": np.repeat(["dqn", "double_dqn"], 3 * 150),
+            "seed": np.tile(np.repeat([1, 2, 3], 150), 2),
+            "episode": np.tile(np.arange(1, 151), 6),
+            "score": np.repeat([10.0, 20.0, 30.0, 25.0, 35.0, 45.0], 150),
+        }
+    )
+    pair = (section, section)
+    found = verdicts.better(pair, ("double_dqn", "dqn"), 1, 150)
+    welch = stats.ttest_ind([25, 35, 45], [10, 20, 30], equal_var=False).confidence_interval()
+    assert found.verdict == verdicts.INCONCLUSIVE, "though every block of games is above"
+    assert f"difference {welch.low:.1f} to {welch.high:.1f}" in found.evidence

@@ -34,15 +34,46 @@ def test_one_value_has_no_interval():
         interval(np.array([1.0]))
 
 
-def test_the_interval_of_a_difference_agrees_with_welchs():
+def test_welchs_interval_is_antisymmetric_and_a_point_for_constants():
     rng = np.random.default_rng(1)
     first, second = rng.normal(3, 2, 400), rng.normal(1, 5, 300)
-    low, high = statistics.difference(first, second)
-    welch = stats.ttest_ind(first, second, equal_var=False).confidence_interval()
-    assert (low, high) == pytest.approx((welch.low, welch.high), abs=0.1)
-    assert statistics.difference(second, first) == pytest.approx((-high, -low), abs=0.1)
+    low, high = statistics.welch_interval(first, second)
+    assert statistics.welch_interval(second, first) == pytest.approx((-high, -low))
+    assert statistics.welch_interval(np.full(3, 5.0), np.full(4, 2.0)) == (3.0, 3.0)
     with pytest.raises(ValueError, match="two values"):
-        statistics.difference(first, second[:1])
+        statistics.welch_interval(first, second[:1])
+
+
+@pytest.mark.parametrize(("likeness", "least"), [(0.0, 0.9), (0.5, 0.75)])
+def test_the_interval_of_a_series_allows_for_neighbours_that_are_alike(likeness, least):
+    rng, hits = np.random.default_rng(0), 0
+    for _ in range(400):
+        series, shocks = [rng.normal()], np.sqrt(1 - likeness**2) * rng.normal(size=9)
+        for shock in shocks:
+            series.append(likeness * series[-1] + shock)
+        low, high = statistics.series_interval(np.array(series))
+        hits += low < 0 < high
+    assert hits / 400 >= least
+
+
+def test_without_likeness_the_interval_is_that_of_a_regressions_middle():
+    values, times = np.array([3.0, -1.0, 4.0, -1.0, 5.0]), np.arange(5) - 2
+    line = stats.linregress(times, values)
+    half = stats.t.ppf(0.975, 3) * line.intercept_stderr
+    expected = (line.intercept - half, line.intercept + half)
+    assert statistics.series_interval(values) == pytest.approx(expected)
+
+
+def test_a_difference_that_grows_steadily_is_no_reason_for_doubt():
+    noise = np.random.default_rng(0).normal(0, 1, 10)
+    low, high = statistics.series_interval(np.linspace(0, 40, 10) + noise)
+    assert 18 < low < 20 < high < 22
+
+
+def test_the_interval_of_independent_values_is_students():
+    values = np.array([3.0, -1.0, 4.0])
+    expected = stats.ttest_1samp(values, 0).confidence_interval()
+    assert statistics.student_interval(values) == pytest.approx((expected.low, expected.high))
 
 
 def test_blocks_are_means_of_fifty_successive_games_and_the_oldest_remainder_goes():

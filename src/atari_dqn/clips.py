@@ -10,6 +10,7 @@ from atari_dqn.films import Film
 from atari_dqn.runs import Run
 from atari_dqn.sections import Section
 
+LATE = 3  # times the training games of an early model make a late one
 GAME = 0  # the number of the evaluation game that is filmed, where nothing decides otherwise
 ALT = "A film of {}: the game, what the network sees, the value of every action and the score."
 
@@ -56,7 +57,7 @@ def show_early_and_late(section: Section, label: str) -> None:
     """The same agent on the same game, early in its training and late."""
     for run in section.usable:
         models = run.models()
-        if len(models) > 1:
+        if len(models) > 1 and max(models) >= LATE * min(models):
             break
     else:
         hold_places(label)

@@ -39,20 +39,23 @@ def show_throughput() -> None:
             textcoords="offset points", rotation=90, ha="right", fontsize="x-small", color="0.35",
         )  # fmt: skip
     axes.set(xlabel="agent steps a second, whole machine, best set-up", ylabel="")
-    axes.legend(title=None, loc="lower right")
+    axes.legend(title=None, loc="lower left", bbox_to_anchor=(0, 1), ncols=2)
     show_figure(
         figure,
         label="fig-throughput",
         caption=f"Training speed on {machine['cores']} cores of an {machine['processor']}: Boxing, "
         "batch 32, one update every 4 agent steps, everything included. Each library in its "
-        "best set-up; `throughput.csv` has them all. Dashed: what the machine could do at most.",
+        "best set-up; `results/benchmarks/throughput.csv` has them all. Dashed: what the machine "
+        "could do at most. Stable-Baselines3 has no Double DQN.",
         alt="Bars of agent steps a second for this project and its peers.",
         data=f"{FOLDER}/throughput.csv",
     )
     ours = ours.loc["dqn"]
     show_text(
         f"With DQN this project makes {ours.steps_per_second:.0f} agent steps a second, "
-        f"{ours.ratio_to_best_peer:.2f} times the faster of the two in its best set-up. That is "
+        f"{ours.ratio_to_best_peer:.2f} times {best[best.library != OURS].iloc[0].library}, the "
+        "faster of two well-known libraries, in its best set-up. (The benchmark updates every 4 "
+        "agent steps, as is usual; the runs of this study every 8.) That is "
         f"{ours.share_of_roofline:.0%} of the machine's *roofline*, the speed it would have if it "
         "did nothing but the necessary arithmetic at its processor's highest speed "
         f"({machine['float32_gflops_a_core']:.0f} billion operations a second and core) and the "
@@ -134,10 +137,10 @@ def show_hours(study: Study) -> None:
     stored = [run for run in study.runs if run.state() != runs.MISSING]
     hours = sum(provenance.hours(run) for run in stored)
     early = study["breakout_early"]
-    text = f"The {len(stored)} stored runs took {hours:,.1f} core-hours so far."
+    text = f"The {len(stored)} stored runs took {hours:,.1f} hours of one core so far."
     if early.complete:
         ours = early.episodes.seconds.max() / 3600
         theirs = data("source_report")["early_breakout_hours"]
         text += f" The 7,000 games of the early Breakout run took {ours:.1f} hours on one core; "
-        text += f"the source report's took {theirs}."
+        text += f"the source report's took over {theirs}."
     show_text(text)

@@ -99,7 +99,7 @@ def settings(of: list[Parameters]) -> pd.DataFrame:
     table = pd.DataFrame(
         {
             "parameter": [f"`{key}`" for key in shown],
-            "unit": [Parameters.model_fields[key].description for key in shown],
+            "meaning": [Parameters.model_fields[key].description for key in shown],
         }
     )
     for item in of:

@@ -267,7 +267,7 @@ def whole_agent() -> Figure:
     corner = (batch.x, online.y - 0.17)
     sheet.arrow(batch.top(), corner, online.left(-0.17), label="$s, a$", **learn)
     sheet.arrow(batch.bottom(), (batch.x, target.y), target.left(), label="$r, s', d$", **learn)
-    rule = r"$y = r + \gamma\,(1-d)\,Q(s', a^*)$"
+    rule = r"$y = r + \gamma\,(1-d)\,Q(s', a^+)$"
     for begin, dy, label in (
         (online.bottom(0.5), 0.17, "$Q(s, a)$"),
         (target.top(0.5), -0.17, rule),

@@ -46,11 +46,13 @@ class GameFacts:
     fire_to_serve: bool  # FIRE brings the ball into play, at the start and after every lost life
     knockout_cells: tuple[int, int] | None  # RAM cells that read 0xC0 when the agent, or its
     # rival, has knocked the other out
+    boxers: tuple[tuple[int, int], tuple[int, int]] | None  # RAM cells of x and y, in pixels, of
+    # the agent and of its rival (Anand et al., 2019)
 
 
 GAMES = {
-    "boxing": GameFacts("Boxing", 12.1, 0.1, 100, 1, False, (18, 19)),
-    "breakout": GameFacts("Breakout", 30.5, 1.7, 864, 864, True, None),
+    "boxing": GameFacts("Boxing", 12.1, 0.1, 100, 1, False, (18, 19), ((32, 34), (33, 35))),
+    "breakout": GameFacts("Breakout", 30.5, 1.7, 864, 864, True, None, None),
 }
 
 
@@ -163,6 +165,16 @@ class AtariGame(gymnasium.Env):
             return 0
         agent, rival = (self.ram()[cell] == 0xC0 for cell in self.facts.knockout_cells)
         return int(agent) - int(rival)
+
+    def distance(self) -> float:
+        """How far apart the two boxers stand, in pixels; nan in other games."""
+        if self.facts.boxers is None:
+            return float("nan")
+        memory = self.ram()
+        (x, y), (rival_x, rival_y) = (
+            (int(memory[a]), int(memory[b])) for a, b in self.facts.boxers
+        )
+        return float(np.hypot(x - rival_x, y - rival_y))
 
     def _act(self, action: int) -> float:
         """One frame. With probability `sticky_actions` the last action is executed once more

@@ -4,7 +4,7 @@ Everything here plays the published model, `model.safetensors` (float16), so tha
 what anyone can reproduce from the repository.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -39,6 +39,9 @@ class PlayedGame:
     sticky_actions: float  # probability a frame
     epsilon: float  # probability of a random action
     seed: int
+    scored: float  # points that the agent gained
+    conceded: float  # points that it lost
+    distance: float  # pixels between the two boxers, mean over the steps; nan in other games
 
 
 def model_bytes(network: nn.Module, games: int) -> bytes:
@@ -88,6 +91,8 @@ class Table:
         self.rng = np.random.default_rng()
         self.params = params
         self.rewards: list[float] = []  # of every step, as they are learned from
+        self.raw: list[float] = []  # the same, unclipped
+        self.distances: list[float] = []
 
     def start(self, game: int, seed: int) -> None:
         """Begins game number `game`: all that is random in it follows from the two numbers."""
@@ -95,12 +100,14 @@ class Table:
         emulator_seed, action_seed = sequence.generate_state(2)
         self.planes[:] = self.emulator.reset(seed=int(emulator_seed))[0].reshape(-1)
         self.rng = np.random.default_rng(action_seed)
-        self.game, self.rewards = game, []
+        self.game, self.rewards, self.raw, self.distances = game, [], [], []
 
     def step(self, action: int) -> bool:
         """Plays one agent step; true when the game has ended."""
         image, raw, terminated, truncated, info = self.emulator.step(action)
         self.rewards.append(learned_reward(self.params, raw, info["life_lost"]))
+        self.raw.append(raw)
+        self.distances.append(self.emulator.distance())
         self.planes[:-1] = self.planes[1:]
         self.planes[-1] = image.reshape(-1)
         return terminated or truncated
@@ -118,20 +125,16 @@ class Table:
             params.sticky_actions,
             params.evaluation_epsilon,
             seed,
+            float(sum(raw for raw in self.raw if raw > 0)),
+            float(-sum(raw for raw in self.raw if raw < 0)),
+            float(np.mean(self.distances)),
         )
 
 
-def play(
-    network: nn.Module,
-    params: Parameters,
-    games: int,
-    seed: int,
-    watch: Callable[[Table], None] = lambda table: None,
-) -> Iterator[PlayedGame]:
+def play(network: nn.Module, params: Parameters, games: int, seed: int) -> Iterator[PlayedGame]:
     """Plays games 0 to `games` - 1 to their ends, several at once, each as it ends.
 
-    Every game that is begun is counted, so that short games are not favoured. `watch` is shown
-    every game after each of its steps.
+    Every game that is begun is counted, so that short games are not favoured.
     """
     waiting = iter(range(games))
     tables = []
@@ -145,9 +148,7 @@ def play(
         q_values = q_of(network, np.stack([table.planes for table in tables], axis=1))
         for table, q_value in zip(list(tables), q_values, strict=True):
             action = epsilon_greedy(q_value[None], epsilon, table.rng)[0]
-            ended = table.step(int(action))
-            watch(table)
-            if not ended:
+            if not table.step(int(action)):
                 continue
             yield table.result(seed)
             following = next(waiting, None)

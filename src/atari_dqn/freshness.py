@@ -22,7 +22,7 @@ def fingerprint(notebook: Path, profile: str, results: Path) -> str:
         for cell in json.loads(source)["cells"]
         if cell["cell_type"] == "code"
     )
-    digest = hashlib.sha256(f"{profile}\n{results.resolve()}\n{source}".encode())
+    digest = hashlib.sha256(f"{profile}\n{source}".encode())
     for path in [*_modules(code), *_data(notebook), *_stored(code, profile, results)]:
         digest.update(f"{path.parent.name}/{path.name}\n".encode())
         digest.update(path.read_bytes())

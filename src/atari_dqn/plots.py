@@ -9,6 +9,7 @@ import seaborn as sns
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patheffects import withStroke
 
 from atari_dqn.agents import AGENTS
 from atari_dqn.envs import GAMES, AtariGame, GameFacts
@@ -85,7 +86,7 @@ def learning_curves(
     titles = [AGENTS[name].title for name in names]
     games.legend(handles, titles, loc="lower left", bbox_to_anchor=(0, 1), ncols=len(titles))
     games.set(xlabel="games played", ylabel=f"score, mean of {window} games")
-    panels["hours"].set(xlabel="hours of training, one core", ylabel="")
+    panels["hours"].set(xlabel="hours on one core", ylabel="")
     if published:
         _published(panels["frames"], published, float(curves.frames.max()))
     panels["frames"].set(xlabel="million frames", ylabel="score")
@@ -113,16 +114,19 @@ def _reference_lines(axes: Axes, facts: GameFacts, named: bool) -> None:
                 va="bottom",
                 color="0.35",
                 fontsize="small",
+                path_effects=[withStroke(linewidth=2.5, foreground="white")],
+                zorder=5,
             )
 
 
 def _published(axes: Axes, published: dict[str, Any], reached: float) -> None:
     """Marks of other people's agents, as far as the curves reach and a little further."""
-    for marker, (name, scores) in zip("os^", published.items(), strict=False):
+    agents = {name: scores for name, scores in published.items() if name != "frames"}
+    for marker, (name, scores) in zip("os^", agents.items(), strict=True):
         at = [
             (frames, score)
             for frames, score in zip(published["frames"], scores, strict=True)
-            if name != "frames" and score is not None and frames <= max(5.0, 1.3 * reached)
+            if score is not None and frames <= 1.3 * reached
         ]
         if at:
             axes.plot(
@@ -133,7 +137,8 @@ def _published(axes: Axes, published: dict[str, Any], reached: float) -> None:
                 color="0.4",
                 label=f"{name}, published",
             )
-    axes.legend(fontsize="x-small", loc="best", handletextpad=0.2)
+    if axes.get_legend_handles_labels()[0]:
+        axes.legend(fontsize="x-small", loc="best", handletextpad=0.2)
 
 
 def hover_values(

@@ -13,7 +13,7 @@ import seaborn as sns
 from matplotlib import pyplot as plt
 from matplotlib.figure import Figure
 
-from atari_dqn.envs import AtariGame
+from atari_dqn.envs import GAMES, AtariGame
 from atari_dqn.plots import WIDTH
 
 HOLD = 4  # frames that a random action is held, as an agent would
@@ -28,7 +28,11 @@ class Cells(NamedTuple):
     arms: tuple[int, int]  # how far each arm is out, 0 to 72
 
 
-BOXERS = {"agent": Cells(32, 34, 18, (55, 57)), "computer": Cells(33, 35, 19, (59, 61))}
+_AGENT, _COMPUTER = GAMES["boxing"].boxers or ()
+BOXERS = {
+    "agent": Cells(*_AGENT, score=18, arms=(55, 57)),
+    "computer": Cells(*_COMPUTER, score=19, arms=(59, 61)),
+}
 
 
 class Punch(NamedTuple):
@@ -99,17 +103,18 @@ def punches_figure(punches: pd.DataFrame) -> Figure:
     return figure
 
 
-def first_difference(sticky_actions: float, steps: int = 1_500) -> int | None:
-    """Plays the same random actions in two games of Boxing that differ in their seeds only.
+def first_difference(game: str, sticky_actions: float, steps: int) -> int | None:
+    """Plays the same random actions in two games that differ in their seeds only.
 
     Returns the first agent step after which the two memories differ, None if they never do.
     """
-    games = [AtariGame("boxing", noop_max=0, sticky_actions=sticky_actions) for _ in range(2)]
-    for seed, game in enumerate(games):
-        game.reset(seed=seed)
-    for step, action in enumerate(np.random.default_rng(0).integers(18, size=steps), start=1):
-        for game in games:
-            game.step(int(action))
-        if (games[0].ram() != games[1].ram()).any():
+    pair = [AtariGame(game, noop_max=0, sticky_actions=sticky_actions) for _ in range(2)]
+    for seed, one in enumerate(pair):
+        one.reset(seed=seed)
+    actions = np.random.default_rng(0).integers(len(pair[0].actions), size=steps)
+    for step, action in enumerate(actions, start=1):
+        for one in pair:
+            one.step(int(action))
+        if (pair[0].ram() != pair[1].ram()).any():
             return step
     return None

@@ -81,8 +81,6 @@ def train(
                 _play_and_learn(recorder, stopped, position)
                 recorder.finish(stopped)
         except KeyboardInterrupt:
-            if not (run.folder / "evaluations.csv").exists():  # they are of a finished model
-                recorder.publish()
             recorder.write_provenance()
             recorder.write_status(INTERRUPTED)
             raise
@@ -118,6 +116,7 @@ def _play_and_learn(recorder: "Recorder", stopped: Callable[[], bool], position:
             recorder.show(bar, done)
             if done or stop or recorder.checkpoint_due():
                 recorder.save()
+                recorder.publish()
             if stop:
                 raise KeyboardInterrupt
             if done:

@@ -39,7 +39,7 @@ def build(profile: str, results: Path | None = None) -> Path:
         failures = experiments.train_all(experiments.planned(profile, [], folder))
         if failures:
             raise RunError("; ".join(failures))
-    executed = _execute(profile, folder)
+    executed = _execute(profile, folder, _snapshot(folder))
     data = runs.project_root() / "notebooks" / "data"
     with tempfile.TemporaryDirectory() as temporary:
         made = Path(temporary)
@@ -56,7 +56,25 @@ def build(profile: str, results: Path | None = None) -> Path:
     return target
 
 
-def _execute(profile: str, folder: Path) -> list[Path]:
+def _snapshot(folder: Path) -> Path:
+    """A copy of the stored runs, so that all sections speak of the same games though training may
+    go on. Returns the folder to give notebooks as that of the results."""
+    snapshot = folder / "notebooks" / "snapshot"
+    shutil.rmtree(snapshot, ignore_errors=True)
+    (folder / "runs").mkdir(parents=True, exist_ok=True)
+
+    def copy(source: str, target: str) -> None:
+        if source.endswith(".csv"):
+            shutil.copyfile(source, target)  # may be appended to
+        else:
+            os.link(source, target)  # is replaced as a whole, if ever
+
+    ignored = shutil.ignore_patterns(".*")
+    shutil.copytree(folder / "runs", snapshot / "runs", ignore=ignored, copy_function=copy)
+    return snapshot
+
+
+def _execute(profile: str, folder: Path, results: Path) -> list[Path]:
     """Runs the numbered notebooks that are out of date into results/notebooks, one a core.
 
     A failing one leaves no output there.
@@ -66,7 +84,7 @@ def _execute(profile: str, folder: Path) -> list[Path]:
     sections = sorted((runs.project_root() / "notebooks").glob("[0-9]*.ipynb"))
     stale = []
     for notebook in sections:
-        fresh = freshness.fingerprint(notebook, profile, folder)
+        fresh = freshness.fingerprint(notebook, profile, results)
         stamp = target / f"{notebook.stem}.inputs"
         executed = target / notebook.name
         if not (executed.exists() and stamp.exists() and stamp.read_text() == fresh):
@@ -74,7 +92,7 @@ def _execute(profile: str, folder: Path) -> list[Path]:
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(experiments.cores(), mp_context=context) as pool:
         jobs = {
-            pool.submit(_execute_one, notebook, target, profile, folder): (notebook, fresh)
+            pool.submit(_execute_one, notebook, target, profile, results): (notebook, fresh)
             for notebook, fresh in stale
         }
         for job in tqdm(as_completed(jobs), total=len(jobs), desc="sections"):
@@ -88,7 +106,7 @@ def _execute(profile: str, folder: Path) -> list[Path]:
     return [target / notebook.name for notebook in sections]
 
 
-def _execute_one(notebook: Path, target: Path, profile: str, folder: Path) -> None:
+def _execute_one(notebook: Path, target: Path, profile: str, results: Path) -> None:
     """Executes one notebook; raises RunError that names the section, the cell and the error."""
     os.environ["OMP_NUM_THREADS"] = "1"  # of the notebook's process: another has the other core
     partial = target / f".{notebook.name}"
@@ -97,7 +115,7 @@ def _execute_one(notebook: Path, target: Path, profile: str, folder: Path) -> No
         papermill.execute_notebook(
             notebook,
             partial,
-            {"profile": profile, "results_dir": str(folder.resolve())},
+            {"profile": profile, "results_dir": str(results.resolve())},
             cwd=str(notebook.parent),
             kernel_name="python3",
             progress_bar=False,

@@ -31,8 +31,9 @@ def show_curves(section: Section) -> None:
         figure,
         label=label,
         caption=f"{facts.title}, `{section.params.experiment}`: raw score while training, with "
-        f"exploration, against games, frames and hours; each point is the mean of the last "
-        f"{window} games ({section.counted()}). Without sticky actions"
+        f"exploration, against games, frames and hours (by the clock, on a machine that had other "
+        f"work at times); each point is the mean of the last {window} games "
+        f"({section.counted()}). Dotted: a human tester and random play. Without sticky actions"
         + ("; the marks are agents trained with them [@dopamine2018]." if default else "."),
         alt=f"Learning curves of the agents in {facts.title}: mean score against games played, "
         "frames and hours.",
@@ -115,25 +116,29 @@ def show_conditions(section: Section) -> None:
     """The evaluation games at other difficulties, and with sticky actions."""
     label, p = f"tbl-{section.slug}-conditions", section.params
     table = section.all_evaluations
-    settings = ["difficulty", "sticky_actions"]
-    if table.empty or len(table[settings].drop_duplicates()) < 2:
+    keys = ["agent", "seed", "difficulty", "sticky_actions"]
+    if table.empty or len(table[keys[2:]].drop_duplicates()) < 2:
         hold_places(label)
         return
     rows = []
     played = table[table.epsilon == p.evaluation_epsilon]
-    for (agent, seed), own in played.groupby(["agent", "seed"], sort=False):
-        row = {"agent": runs.title(str(agent)), "seed": seed}
-        for (difficulty, sticky), games in own.groupby(settings):
-            condition = f"difficulty {difficulty}" + (f", sticky {sticky:g}" if sticky else "")
-            low, high = interval(games.score.to_numpy())
-            row[condition] = f"{games.score.mean():.1f} ({low:.1f} to {high:.1f})"
-        rows.append(row)
+    for (agent, seed, difficulty, sticky), games in played.groupby(keys, sort=False):
+        rows.append(
+            {
+                "agent": runs.title(str(agent)),
+                "seed": int(seed),
+                "difficulty": int(difficulty),
+                "sticky": f"{sticky:g}",
+                **_summary(section, games),
+            }
+        )
     show_table(
         pd.DataFrame(rows),
         label=label,
-        caption=f"{section.facts.title}, `{p.experiment}`: mean score of evaluation games under "
-        f"conditions that the agents were not trained for; they were trained at difficulty "
-        f"{p.difficulty} without sticky actions. Intervals are over games.",
+        caption=f"{section.facts.title}, `{p.experiment}`: evaluation games under other conditions "
+        f"than those of the training, which were difficulty {p.difficulty} and no sticky actions. "
+        "Intervals are over games.",
+        decimals=1,
     )
 
 
@@ -162,14 +167,18 @@ def show_discounts(sections: list[Section], agent: str, label: str) -> None:
 
 
 def _evaluated(section: Section, agent: str, seed: int, games: pd.DataFrame) -> dict:
-    row = {
+    return {
         "agent": runs.title(agent),
         "seed": seed,
         "training games": int(games.trained_games.max()),
         "games": len(games),
-        "mean score": games.score.mean(),
-        "95% interval": "–",
+        **_summary(section, games),
     }
+
+
+def _summary(section: Section, games: pd.DataFrame) -> dict:
+    """Mean score, interval, and in Boxing the shares of wins and of knock-outs."""
+    row = {"mean score": games.score.mean(), "95% interval": "–"}
     if len(games) > 1:
         low, high = interval(games.score.to_numpy())
         row["95% interval"] = f"{low:.1f} to {high:.1f}"
@@ -190,8 +199,9 @@ def show_values(section: Section) -> None:
         label=label,
         caption=f"{section.facts.title}, `{section.params.experiment}`: the value that the "
         "network predicts for the states of four greedy games, and the discounted clipped "
-        "return that followed them, every 100 training games. A gap is overestimation "
-        f"({section.counted()}).",
+        "return (the sum of reward signs, discounted) that followed them, every 100 training "
+        "games. Where the prediction lies above what followed, the network overestimates. A point "
+        f"is four games, so that single dips mean little ({section.counted()}).",
         alt="Predicted and realised values of states against training games, a panel an agent.",
         data=section.origin + "values.csv",
     )
@@ -246,28 +256,28 @@ def show_variations(section: Section, reference: Section, agent: str) -> None:
     )
 
 
+LOWEST = -100.0  # points, the worst that a game of Boxing can end with
+
+
 def show_transfer(transferred: Section, scratch: Section) -> None:
     """What starting from another game's agent is worth (Taylor and Stone, 2009)."""
     label, window = "tbl-transfer", transferred.mark_window
     rows = []
     for agent in transferred.params.agents:
-        pair = [section.episodes for section in (transferred, scratch)]
-        if any(table.empty for table in pair):
-            continue
-        ours, theirs = (table[table.agent == agent] for table in pair)
-        games = min(ours.episode.max(), theirs.episode.max()) if len(ours) and len(theirs) else 0
+        pair = (transferred, scratch)
+        ours, theirs = (_curve(section, agent) for section in pair)
+        games = min(len(ours), len(theirs))  # that both have played
         if games < window:
             continue
-        with_, without = (_first_games(table, int(games)) for table in (ours, theirs))
-        end = slice(-window, None)
-        early = [_greedy(section, agent, window) for section in (transferred, scratch)]
+        gain = ours[:games] - theirs[:games]
+        early = [_greedy(section, agent, window) for section in pair]
         rows.append(
             {
                 "agent": runs.title(agent),
-                "games": int(games),
-                "jump-start": early[0] - early[1],
-                "area ratio": (with_.sum() - without.sum()) / abs(without.sum()),
-                "difference at the end": (with_[end] - without[end]).mean(),
+                "games": games,
+                "early, greedy": early[0] - early[1],
+                "area ratio": gain.sum() / (theirs[:games] - LOWEST).sum(),
+                "at the end": gain[-window:].mean(),
             }
         )
     if not rows:
@@ -277,8 +287,9 @@ def show_transfer(transferred: Section, scratch: Section) -> None:
         pd.DataFrame(rows),
         label=label,
         caption=f"{transferred.facts.title}: what the start from Breakout is worth, over the games "
-        f"that both runs have played: points in greedy games during the first {window} training "
-        f"games, share of the area under the curve from scratch, points in the last {window} "
+        f"that both runs have played: difference in points in the greedy games (four a check) of "
+        f"the first {window} training games; area between the curves as a share of that from "
+        f"{LOWEST:g} points to the curve from scratch; difference in points in the last {window} "
         "training games.",
     )
 
@@ -291,6 +302,9 @@ def _greedy(section: Section, agent: str, games: int) -> float:
     return values[(values.agent == agent) & (values.episode <= games)].score.mean()
 
 
-def _first_games(table: pd.DataFrame, games: int) -> np.ndarray:
-    """Mean score of each of the first games, over seeds: float64 [games]."""
-    return table[table.episode <= games].groupby("episode").score.mean().to_numpy()
+def _curve(section: Section, agent: str) -> np.ndarray:
+    """Mean score of each training game, over seeds: float64 [games]."""
+    if section.episodes.empty:
+        return np.empty(0)
+    own = section.episodes[section.episodes.agent == agent]
+    return own.groupby("episode").score.mean().to_numpy()

@@ -8,7 +8,7 @@
                             (evaluation.ValueCheck)
         evaluations.csv     a row a game of greedy play (evaluation.PlayedGame, and the games
                             of training behind the model)
-        model.safetensors   the online network, float16, when the run was last stopped or ended
+        model.safetensors   the online network, float16, as of the last checkpoint
         snapshots/          the same after the games that `snapshot_games` names
         status.json         state, episodes_done, episodes
         provenance.json     commit, versions, processor, wall-clock, resumes

@@ -4,6 +4,7 @@ import ast
 from functools import cached_property
 from typing import Any
 
+import numpy as np
 import pandas as pd
 from IPython.core.getipython import get_ipython
 from ruamel.yaml import YAML
@@ -143,14 +144,15 @@ class Section:
     def complete(self) -> bool:
         return all(run.state() == runs.COMPLETE for run in self.runs)
 
-    def scores(self, agent: str, first: int, last: int) -> pd.Series:
-        """The scores of training games `first` to `last` of all the agent's seeds that have
-        played that far; empty if none has."""
+    def scores(self, agent: str, first: int, last: int) -> np.ndarray:
+        """The scores of training games `first` to `last`, float64 [seeds, games], of the agent's
+        seeds that have played that far."""
         if self.episodes.empty:
-            return pd.Series(dtype=float)
+            return np.empty((0, 0))
         games = self.episodes[self.episodes.agent == agent]
         reached = games.groupby("seed").episode.transform("max") >= last
-        return games[reached & games.episode.between(first, last)].score
+        wanted = games[reached & games.episode.between(first, last)]
+        return wanted.pivot(index="seed", columns="episode", values="score").to_numpy(float)
 
     @property
     def origin(self) -> str:

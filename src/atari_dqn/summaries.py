@@ -3,9 +3,10 @@
 import pandas as pd
 
 from atari_dqn import runs
-from atari_dqn.claims import FINDINGS, NOT_YET, findings
+from atari_dqn.claims import FINDINGS, findings
 from atari_dqn.sections import Section, Study
 from atari_dqn.statistics import trailing_mean
+from atari_dqn.verdicts import NOT_YET
 
 EARLY = 500  # games, before which an agent still acts mostly at random
 RECENT = 100  # games, of which a run's present score is the mean
@@ -28,11 +29,11 @@ def headline(study: Study) -> str:
             f"points a game while still exploring, {level} the human reference of "
             f"{section.facts.human:g} (random play: {section.facts.random:g})."
         )
-    counted = ", ".join(f"{number} {verdict}" for verdict, number in done.items()) or "none yet"
-    return (
-        f"**{text}** Of {judged.sum()} claims of the source report that runs can judge, "
-        f"{done.sum()} are judged so far ({counted})."
-    )
+    claims = f"{judged.sum()} claims of the source report that runs can judge"
+    if done.empty:
+        return f"**{text}** Of {claims}, none is judged yet."
+    counted = ", ".join(f"{number} {verdict}" for verdict, number in done.items())
+    return f"**{text}** Of {claims}, {done.sum()} are judged so far ({counted})."
 
 
 def _best(section: Section) -> tuple[str, int, float]:
@@ -58,6 +59,15 @@ def conclusion(study: Study) -> str:
                 f"In {section.facts.title} {best} is ahead after {games:,} games, with {score:.1f} "
                 f"points a game over its last {RECENT}, {level} the human {section.facts.human:g}."
             )
+    if not said:
+        played = sum(len(each.episodes) for each in study.sections.values())
+        planned = sum(len(each.runs) * each.params.episodes for each in study.sections.values())
+        said.append(
+            f"With {played / planned:.1%} of the planned games played, no agent can be called the "
+            "better one yet. What stands already does not depend on them: what the literature "
+            "says (@tbl-literature), how the two games work (@sec-games), where the source report "
+            "leaves a choice open (@tbl-deviations), and what training costs (@sec-speed)."
+        )
     found = findings(study)
     for verdict, rows in found[found.verdict != NOT_YET].groupby("verdict", sort=False):
         said.append(f"*{str(verdict).capitalize()}*: {'; '.join(rows.claim)}.")
@@ -72,7 +82,7 @@ def cards(study: Study) -> str:
     _, played, score = _best(section)
     window = min(RECENT, played)
     numbers = [
-        (f"{score:.1f}", f"points in Boxing: the best mean of a run's last {window} games")
+        (f"{score:.1f}", f"points in Boxing: the best mean of a run's last {window} training games")
         if played
         else ("–", "points in Boxing: no game is stored yet"),
         (f"{section.facts.human:g}", "points: a human tester's mean"),
@@ -93,27 +103,33 @@ def reading(study: Study, experiment: str) -> str:
     if not section.episodes.empty:
         for (agent, seed), games in section.episodes.groupby(["agent", "seed"], sort=False):
             seeds = f", seed {seed}" if len(section.params.seeds) > 1 else ""
-            lines.append(f"- {runs.title(str(agent))}{seeds}{_progress(section, games)}.")
-    waiting = 0
-    for claim in FINDINGS:
+            own = section.values
+            checks = own[(own.agent == agent) & (own.seed == seed)] if not own.empty else own
+            lines.append(f"- {runs.title(str(agent))}{seeds}{_progress(section, games, checks)}.")
+    waiting = []
+    for number, claim in enumerate(FINDINGS, start=1):
         if experiment not in claim.experiments:
             continue
         found = claim.judge(study)
         if found.verdict == NOT_YET:
-            waiting += 1
+            waiting.append(str(number))
         else:
-            lines.append(f"- *{found.verdict.capitalize()}*: {claim.text}. ({found.evidence})")
+            said = f"{claim.text}. ({found.evidence})"
+            lines.append(f"- *{found.verdict.capitalize()}*: claim {number}, {said}")
     if not lines:
         return ""
     if waiting:
-        number = "One more claim waits" if waiting == 1 else f"{waiting} more claims wait"
-        lines.append(f"- {number} for games that are still to be played (@tbl-findings).")
+        noun, verb = ("claims", "wait") if len(waiting) > 1 else ("claim", "waits")
+        lines.append(
+            f"- Of @tbl-findings, {noun} {', '.join(waiting)} {verb} for games still to be played."
+        )
     head = "**What was found:**" if section.complete else "**What was found so far:**"
     return f"{head}\n\n" + "\n".join(lines)
 
 
-def _progress(section: Section, games: pd.DataFrame) -> str:
-    """How a run has gone: where it stands, when it passed the human score, how steady it was."""
+def _progress(section: Section, games: pd.DataFrame, checks: pd.DataFrame) -> str:
+    """How a run has gone: where it stands, when it passed the human score, how steady it was, and
+    what it scores without random moves."""
     window, human = min(RECENT, section.params.episodes), section.facts.human
     number = int(games.episode.max())
     means = trailing_mean(games.set_index("episode").score, window).dropna()
@@ -128,7 +144,12 @@ def _progress(section: Section, games: pd.DataFrame) -> str:
         text += f"; the mean of {window} games first passed the human {human:g} after game "
         text += f"{above.index[0]:,}"
     fall = (means.cummax() - means).max()
-    return f"{text}; its curve has fallen back by at most {fall:.1f} points from its best so far"
+    text += f"; the largest drop of that mean so far is {fall:.1f} points"
+    if not checks.empty:
+        last = checks.iloc[-1]
+        text += f". Playing greedily after {last.episode:,.0f} games, it scored {last.score:.1f} "
+        text += "(four games)"
+    return text
 
 
 def list_of_findings() -> str:

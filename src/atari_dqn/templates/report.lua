@@ -8,6 +8,15 @@ local function wrapped(open, blocks, close)
   return result
 end
 
+local WHOLE = 12 -- rows; a longer table may be broken between pages
+
+function Table(element)
+  local rows = 0
+  for _, body in ipairs(element.bodies) do rows = rows + #body.body end
+  if rows > WHOLE then return nil end
+  return wrapped("#block(breakable: false)[", { element }, "]")
+end
+
 function Div(div)
   if div.classes:includes("badge") then
     return wrapped("#badge[", div.content, "]")

@@ -1,0 +1,271 @@
+"""Verdicts: what the stored runs say on a claim, with the evidence.
+
+A verdict follows from a 95% interval of a mean, or of the difference of two: `supported` if the
+whole interval lies on the claim's side of zero, `contradicted` if it lies on the other,
+`inconclusive` if it holds zero, `open` while a run that the claim is about has not got as far.
+
+The interval is over seeds (Welch's t) where both sides have three or more. With fewer it is over
+blocks of 50 training games, of which those of two runs that hold the same games are paired: it
+then says how steady the difference is within these runs, and nothing about other seeds. Greedy
+games of finished runs are compared game by game (Welch's t).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from atari_dqn import runs
+from atari_dqn.agents import AGENTS
+from atari_dqn.sections import Section, Study
+from atari_dqn.statistics import (
+    BLOCK,
+    blocks,
+    series_interval,
+    student_interval,
+    welch_interval,
+)
+
+SUPPORTED, CONTRADICTED = "supported", "contradicted"
+INCONCLUSIVE, NOT_YET = "inconclusive", "open"
+DQN, DOUBLE, DUELING = AGENTS
+SEEDS = 3  # from which an interval is over seeds
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """`evidence` is a sentence of computed numbers."""
+
+    verdict: str
+    evidence: str
+
+
+def all_of(verdicts: list[Verdict]) -> Verdict:
+    """A claim of several parts stands if every part does, and falls with any of them."""
+    kinds = [verdict.verdict for verdict in verdicts]
+    ranked = (CONTRADICTED, NOT_YET, INCONCLUSIVE, SUPPORTED)
+    worst = next(kind for kind in ranked if kind in kinds)
+    evidence = dict.fromkeys(
+        verdict.evidence
+        for verdict in verdicts
+        if worst != NOT_YET or verdict.verdict == NOT_YET  # what is there may change the picture
+    )
+    return Verdict(worst, "; ".join(evidence))
+
+
+def above(section: Section, agent: str, first: int, last: int, score: float) -> Verdict:
+    """That an agent's games `first` to `last` score more than `score` on average."""
+    scores = section.scores(agent, first, last)
+    if scores.size == 0 or scores.shape[1] < 3 * BLOCK:
+        return _not_yet(section)
+    if len(scores) >= SEEDS:
+        low, high = student_interval(scores.mean(axis=1))
+    else:
+        low, high = series_interval(blocks(scores.mean(axis=0)))
+    said = f"{runs.title(agent)} {scores.mean():.1f} ({low:.1f} to {high:.1f})"
+    return Verdict(_side(low - score, high - score), f"{said} against {score:g}")
+
+
+def better(
+    sections: tuple[Section, Section],
+    agents: tuple[str, str],
+    first: int,
+    last: int,
+    margin: float = 0.0,
+    gain: bool = False,
+) -> Verdict:
+    """That the first of two agents, each in its section, scores more in games `first` to `last`,
+    by more than `margin`. With `gain`, what each scores above its own first 50 games."""
+    scores = [
+        section.scores(agent, first, last) for section, agent in zip(sections, agents, strict=True)
+    ]
+    if any(found.size == 0 or found.shape[1] < 3 * BLOCK for found in scores):
+        return _not_yet(*dict.fromkeys(sections))
+    if gain:
+        scores = [found - found[:, :BLOCK].mean() for found in scores]
+    one, other = scores
+    if min(len(one), len(other)) >= SEEDS:
+        low, high = welch_interval(one.mean(axis=1), other.mean(axis=1))
+    else:
+        low, high = series_interval(blocks(one.mean(axis=0) - other.mean(axis=0)))
+    means = _against(sections, agents, [found.mean() for found in scores])
+    return Verdict(
+        _side(low - margin, high - margin), f"{means}, difference {low:.1f} to {high:.1f}"
+    )
+
+
+def _against(sections: tuple[Section, Section], agents: tuple[str, str], means: list[float]) -> str:
+    """The two sides of a comparison, by what tells them apart."""
+    names = [runs.title(agent) for agent in agents]
+    if agents[0] == agents[1]:
+        names = [f"`{section.params.experiment}`" for section in sections]
+        names[0] = f"{runs.title(agents[0])}: {names[0]}"
+    return " against ".join(f"{name} {mean:.1f}" for name, mean in zip(names, means, strict=True))
+
+
+def _not_yet(*sections: Section) -> Verdict:
+    shares = [
+        f"`{each.params.experiment}` {_share(each)}" for each in sections if not each.complete
+    ]
+    return Verdict(NOT_YET, f"games played: {', '.join(shares)}")
+
+
+def _share(section: Section) -> str:
+    return f"{section.share:.0%}" if section.share >= 0.01 or not section.share else "under 1%"
+
+
+def _side(low: float, high: float) -> str:
+    if low > 0:
+        return SUPPORTED
+    return CONTRADICTED if high < 0 else INCONCLUSIVE
+
+
+def _last(section: Section) -> tuple[int, int]:
+    """The games that a final score is the mean of."""
+    episodes = section.params.episodes
+    return episodes - section.mark_window + 1, episodes
+
+
+def _mark(section: Section, number: int) -> tuple[int, int]:
+    """The games up to the `number`-th mark (1 to 6)."""
+    return (number - 1) * section.mark_window + 1, number * section.mark_window
+
+
+def human_level(
+    study: Study, experiment: str, agents: list[str] | None = None, mark: int = 6
+) -> Verdict:
+    """The agents of an experiment, by default all, exceed the human reference at a mark."""
+    section = study[experiment]
+    return all_of(
+        [
+            above(section, agent, *_mark(section, mark), section.facts.human)
+            for agent in agents or section.params.agents
+        ]
+    )
+
+
+def ordered(study: Study, experiment: str, best: str, others: list[str], mark: int) -> Verdict:
+    """One agent is better than each of the others at a mark."""
+    section = study[experiment]
+    games = _mark(section, mark)
+    return all_of([better((section, section), (best, other), *games) for other in others])
+
+
+def between(
+    study: Study, first: str, second: str, mark: int | None = None, **how: float
+) -> list[Verdict]:
+    """That an agent scores more in the first experiment than in the second, up to a mark or at the
+    last games of the shorter one: a verdict for every agent. `how` is for `better`."""
+    pair = (study[first], study[second])
+    games = _last(min(pair, key=lambda section: section.params.episodes))
+    if mark is not None:
+        games = _mark(pair[0], mark)
+    return [better(pair, (agent, agent), *games, **how) for agent in _shared(pair)] or [_ALONE]
+
+
+_ALONE = Verdict(NOT_YET, "no agent is trained both ways")  # as in the small profiles
+
+
+def _shared(pair: tuple[Section, Section]) -> list[str]:
+    return [agent for agent in pair[0].params.agents if agent in pair[1].params.agents]
+
+
+def greedy(study: Study, first: str, second: str, column: str = "score") -> list[Verdict]:
+    """That an agent's greedy games after training in the first experiment have more of something
+    than those after training in the second: a verdict for every agent."""
+    pair = (study[first], study[second])
+    verdicts = []
+    for agent in _shared(pair):
+        games = [
+            table[table.agent == agent][column].to_numpy(float)
+            if not (table := section.evaluations).empty
+            else np.empty(0)
+            for section in pair
+        ]
+        if min(map(len, games)) < 2:
+            verdicts.append(_not_yet(*pair))
+            continue
+        low, high = welch_interval(*games)
+        means = _against(pair, (agent, agent), [found.mean() for found in games])
+        said = f"{means}, difference {low:.1f} to {high:.1f}"
+        verdicts.append(Verdict(_side(low, high), f"{column}, greedy: {said}"))
+    return verdicts or [_ALONE]
+
+
+def overestimation(study: Study, experiment: str) -> Verdict:
+    """Double DQN's predictions exceed what it realises by less than DQN's do, in the second half
+    of the games; checks of the two after the same games are compared."""
+    section = study[experiment]
+    values = section.values
+    if values.empty:
+        return _not_yet(section)
+    late = values[values.episode > section.params.episodes / 2]
+    gaps = (late.predicted - late.realised).groupby([late.agent, late.episode]).mean().unstack(0)
+    if not {DQN, DOUBLE} <= set(gaps) or gaps.dropna().index.max() < section.params.episodes:
+        return _not_yet(section)
+    gaps = gaps.dropna()
+    if len(gaps) < 3:
+        return _not_yet(section)
+    low, high = series_interval((gaps[DQN] - gaps[DOUBLE]).to_numpy())
+    said = ", ".join(f"{runs.title(agent)} {gaps[agent].mean():+.2f}" for agent in (DQN, DOUBLE))
+    return Verdict(
+        _side(low, high), f"mean gap of {said}; DQN's is larger by {low:.2f} to {high:.2f}"
+    )
+
+
+def steadier(study: Study, steady: str, unsteady: str, agent: str) -> Verdict:
+    """An agent's curve is smoother in the first experiment than in the second, over the games of
+    the second: how far each block of games is from the middle of its neighbours, as a share of the
+    curve's whole range."""
+    rough = []
+    for name in (steady, unsteady):
+        scores = study[name].scores(agent, 1, study[unsteady].params.episodes)
+        if scores.size == 0 or scores.shape[1] < 5 * BLOCK:
+            return _not_yet(study[steady], study[unsteady])
+        means = blocks(scores.mean(axis=0))
+        bends = np.abs(means[1:-1] - (means[:-2] + means[2:]) / 2)
+        rough.append(100 * bends / max(np.ptp(means), 1e-9))
+    low, high = series_interval(rough[1] - rough[0])
+    said = " against ".join(
+        f"`{name}` {found.mean():.1f}%"
+        for name, found in zip((steady, unsteady), rough, strict=True)
+    )
+    return Verdict(
+        _side(low, high),
+        f"roughness in the curve's range: {said}, difference {low:.1f} to {high:.1f}",
+    )
+
+
+def beaten_everywhere(study: Study) -> Verdict:
+    """Dueling Double DQN, the most refined agent, wins on average at every difficulty, without
+    sticky actions; it was trained at the first."""
+    section = study["boxing_final"]
+    games = section.all_evaluations
+    if not games.empty:
+        games = games[(games.agent == DUELING) & (games.sticky_actions == 0)]
+    played = 0 if games.empty else games.difficulty.nunique()
+    if played < 4:
+        return Verdict(
+            NOT_YET, f"{runs.title(DUELING)} is evaluated at {played} of 4 difficulties so far"
+        )
+    parts = []
+    for difficulty, found in games.groupby("difficulty"):
+        low, high = student_interval(found.score.to_numpy())
+        said = f"difficulty {difficulty}: {found.score.mean():.1f} ({low:.1f} to {high:.1f}), "
+        said += f"{(found.knockout == 1).mean():.0%} by knock-out"
+        parts.append(Verdict(_side(low, high), said))
+    return all_of(parts)
+
+
+def negated(verdict: Verdict) -> Verdict:
+    """The verdict on the opposite claim."""
+    opposite = {SUPPORTED: CONTRADICTED, CONTRADICTED: SUPPORTED}
+    return Verdict(opposite.get(verdict.verdict, verdict.verdict), verdict.evidence)
+
+
+def finished(study: Study, names: list[str]) -> Verdict:
+    """An aim that is reached when its runs are there."""
+    sections = [study[name] for name in names]
+    share = np.mean([section.share for section in sections])
+    done = all(section.complete for section in sections)
+    said = ", ".join(f"`{section.params.experiment}` {_share(section)}" for section in sections)
+    return Verdict(SUPPORTED if done else NOT_YET, f"{share:.0%} of the games played ({said})")
