@@ -189,6 +189,7 @@ def value_errors(values: pd.DataFrame) -> Figure:
     for axes, agent in zip(panels[0], agents, strict=True):
         own = values[values.agent == agent]
         shared = {"x": "episode", "data": own, "ax": axes, "errorbar": None, "legend": False}
+        shared |= {"marker": "o", "ms": 3.5}
         sns.lineplot(y="predicted", color=COLOURS[agent], lw=1.5, **shared)
         sns.lineplot(y="realised", color="0.35", lw=1.2, ls="--", **shared)
         axes.set(xlabel="games played", ylabel="value of a state")
