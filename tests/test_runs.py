@@ -248,6 +248,22 @@ def test_games_without_their_checkpoint_are_not_overwritten(tmp_path, small):
     assert (run.folder / "episodes.csv").read_bytes() == before
 
 
+def test_anew_keeps_what_cannot_be_continued_and_moves_nothing_else(tmp_path, small):
+    run, longer = Run(small(episodes=2), tmp_path), Run(small(episodes=4), tmp_path)
+    assert run.set_aside() is None, "missing"
+    recording.train(run)
+    before = (run.folder / "episodes.csv").read_bytes()
+    assert run.set_aside() is None, "complete"
+    assert longer.set_aside() is None, "can be continued"
+    shutil.rmtree(run.state_folder)
+    aside = longer.set_aside()
+    assert aside == run.folder.with_name("seed-1.aside-1")
+    assert (aside / "episodes.csv").read_bytes() == before
+    recording.train(longer)
+    assert (run.folder / "episodes.csv").read_bytes().startswith(before)
+    assert Run(small(gamma=0.5), tmp_path).set_aside().name == "seed-1.aside-2", "stale"
+
+
 def test_a_run_whose_folder_was_lost_comes_back_whole_from_its_checkpoint(tmp_path, small):
     run = Run(small(episodes=2, snapshot_games=[1]), tmp_path)
     recording.train(run)

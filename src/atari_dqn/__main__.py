@@ -14,7 +14,7 @@ from tabulate import tabulate
 from atari_dqn import experiments, params, recording, runs
 from atari_dqn.checkpoints import CheckpointError
 from atari_dqn.params import ParameterError
-from atari_dqn.runs import RunError
+from atari_dqn.runs import Run, RunError
 
 app = typer.Typer(
     help="Train, evaluate and report on Deep Q-Networks that play Atari Boxing and Breakout.",
@@ -33,6 +33,14 @@ Results = Annotated[
     typer.Option(help="Results folder; by default results/, or results/PROFILE/ of a profile."),
 ]
 Profile = Annotated[str, typer.Option(help=f"One of {', '.join(params.PROFILES)}.")]
+Anew = Annotated[
+    bool,
+    typer.Option(
+        "--anew",
+        help="Begin runs again that cannot be continued here (stale, or without their checkpoint); "
+        "what is stored of them is kept beside.",
+    ),
+]
 Names = Annotated[list[str] | None, typer.Argument(help="Experiments; all if none is named.")]
 
 
@@ -44,6 +52,13 @@ def _interruptible() -> Iterator[None]:
     except KeyboardInterrupt:
         print("interrupted; the same command continues", file=sys.stderr)
         raise typer.Exit(130) from None
+
+
+def _set_aside(wanted: list[Run]) -> None:
+    for run in wanted:
+        aside = run.set_aside()
+        if aside is not None:
+            print(f"{run.name} begins again; what was stored of it is kept in {aside}")
 
 
 @app.command()
@@ -58,6 +73,7 @@ def train(
         list[str] | None,
         typer.Option("--set", metavar="KEY=VALUE", help="Change a parameter; may be repeated."),
     ] = None,
+    anew: Anew = False,
 ) -> None:
     """Train the runs of one experiment, or continue them; what is complete stays as it is.
 
@@ -65,8 +81,10 @@ def train(
     """
     overrides = params.parse_overrides(set_ or [])
     chosen = params.pick(params.load(params_file, overrides), agent, seed)
+    wanted = runs.runs_of(chosen, runs.results_folder(chosen.profile, results))
+    _set_aside(wanted if anew else [])
     with _interruptible():
-        for run in runs.runs_of(chosen, runs.results_folder(chosen.profile, results)):
+        for run in wanted:
             print(recording.train(run))
 
 
@@ -131,11 +149,13 @@ def run(
         str | None,
         typer.Option(metavar="tcp://HOST:PORT", help="Train on this Dask scheduler's workers."),
     ] = None,
+    anew: Anew = False,
 ) -> None:
     """Train what is missing or interrupted, several runs at once."""
     if scheduler is not None and workers is not None:
         raise ParameterError("--workers: a cluster has its own; leave it out with --scheduler")
     wanted = experiments.planned(profile, names or [], results)
+    _set_aside(wanted if anew else [])
     with _interruptible():
         if scheduler is None:
             failures = experiments.train_all(wanted, workers)

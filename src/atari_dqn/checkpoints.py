@@ -58,6 +58,11 @@ def save(folder: Path, state: dict[str, Any]) -> None:
         shutil.rmtree(temporary, ignore_errors=True)
 
 
+def exist(folder: Path) -> bool:
+    """Whether any checkpoint is in `folder`."""
+    return bool(_found(folder))
+
+
 def load(folder: Path) -> dict[str, Any] | None:
     """The state in the newest undamaged checkpoint of `folder`, or None if there never was one.
 

@@ -370,7 +370,7 @@ def project_files() -> Figure:
 
 def _breadth(node: str) -> float:
     """Inches that a module's box takes, or an arrow that passes between boxes."""
-    return 0.1 if "@" in node else 0.15 + 0.077 * len(node)
+    return 0.1 if "@" in node else 0.15 + 0.074 * len(node)
 
 
 def _columns(rows: list[list[str]], links: list[tuple[str, str]]) -> dict[str, float]:

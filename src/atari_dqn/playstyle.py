@@ -22,6 +22,7 @@ def show(sections: Iterable[Section], label: str) -> None:
                 "discount": f"{section.params.gamma:g}",
                 "agent": runs.title(str(agent)),
                 "seed": seed,
+                "training games": int(games.trained_games.max()),
             }
             for column, name in (
                 ("scored", "points scored"),
@@ -32,7 +33,7 @@ def show(sections: Iterable[Section], label: str) -> None:
                 row[name] = f"{games[column].mean():.1f} ({low:.1f} to {high:.1f})"
             rows.append(row)
     if not rows:
-        show_absent(label, "A table of play styles follows when a run is finished.")
+        show_absent(label, "A table of play styles follows when an agent has been evaluated.")
         return
     show_table(
         pd.DataFrame(rows),

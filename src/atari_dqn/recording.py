@@ -172,7 +172,7 @@ class Recorder:
         if games > 0:
             raise RunError(
                 f"{self.run.folder} holds {games} games, but their checkpoint is not in "
-                f"{self.run.state_folder}; move the run's folder away to train anew"
+                f"{self.run.state_folder}; --anew keeps them elsewhere and begins again"
             )
 
     def _compare_sessions(self) -> None:
@@ -261,7 +261,6 @@ class Recorder:
         """Publishes the model, plays the final evaluation and marks the run complete."""
         folder, parameters = self.run.folder, self.run.params
         path = self.publish()
-        (folder / "evaluations.csv").unlink(missing_ok=True)  # an earlier model's
         network = evaluation.load_model(path, parameters)
         settings, games = evaluation.conditions(parameters), parameters.evaluation_games
         played = []

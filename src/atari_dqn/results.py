@@ -84,7 +84,7 @@ def show_evaluations(section: Section) -> None:
     figure, table = f"fig-{section.slug}-evaluation", f"tbl-{section.slug}-evaluation"
     if section.evaluations.empty:
         if not section.episodes.empty:
-            show_text("*Evaluation games follow when a run is finished.*")
+            show_text("*No agent has been evaluated yet.*")
         hold_places(figure, table)
         return
     games = section.evaluations.groupby(["agent", "seed"]).size().min()
@@ -101,8 +101,11 @@ def show_evaluations(section: Section) -> None:
         _evaluated(section, str(agent), int(seed), games)
         for (agent, seed), games in section.evaluations.groupby(["agent", "seed"], sort=False)
     ]
+    guessed = section.all_evaluations[section.all_evaluations.epsilon == 1.0]
+    if not guessed.empty:
+        rows.append({"agent": "random play", "games": len(guessed), **_summary(section, guessed)})
     show_table(
-        pd.DataFrame(rows),
+        pd.DataFrame(rows).astype({"seed": "Int64", "training games": "Int64"}),
         label=table,
         caption=f"{section.facts.title}, `{p.experiment}`: evaluation games at difficulty "
         f"{p.difficulty}. The interval is over the games of a run (bootstrap), not over seeds; "

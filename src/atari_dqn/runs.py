@@ -32,7 +32,7 @@ from filelock import FileLock, Timeout
 from safetensors import SafetensorError
 from tqdm import tqdm
 
-from atari_dqn import evaluation, params
+from atari_dqn import checkpoints, evaluation, params
 from atari_dqn.agents import AGENTS
 from atari_dqn.evaluation import PlayedGame
 from atari_dqn.params import TRAINING_VERSION, ParameterError, Parameters
@@ -183,6 +183,21 @@ class Run:
         except Timeout:
             raise RunError(f"{self.name} is being trained by another process") from None
 
+    def set_aside(self) -> Path | None:
+        """Moves what is stored of a run that cannot be continued here, because it is stale or has
+        no checkpoint, to a folder beside its own; returns that, None if nothing was moved.
+        """
+        if self.state() in (COMPLETE, RUNNING, MISSING) or checkpoints.exist(self.state_folder):
+            return None
+        with self.lock():
+            number = 1 + len(list(self.folder.parent.glob(f"{self.folder.name}.aside-*")))
+            aside = self.folder.with_name(f"{self.folder.name}.aside-{number}")
+            aside.mkdir()
+            for path in self.folder.iterdir():
+                if path.name != ".lock":
+                    path.rename(aside / path.name)
+        return aside
+
     def _locked(self) -> bool:
         try:
             with FileLock(self.folder / ".lock", timeout=0):
@@ -231,11 +246,11 @@ def evaluate(
 
 def store_evaluation(folder: Path, played: list[PlayedGame]) -> None:
     """Adds games of the folder's model to evaluations.csv, in the place of the same games of the
-    same settings."""
+    same model and settings."""
     path = folder / "evaluations.csv"
     table = pd.DataFrame([asdict(game) for game in played])
     table["trained_games"] = evaluation.trained_games(folder / "model.safetensors")
-    settings = ["difficulty", "sticky_actions", "epsilon", "seed"]
+    settings = ["trained_games", "difficulty", "sticky_actions", "epsilon", "seed"]
     if path.exists():
         table = pd.concat([pd.read_csv(path), table])
     table = table.drop_duplicates([*settings, "game"], keep="last")

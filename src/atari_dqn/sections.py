@@ -118,8 +118,12 @@ class Section:
 
     @cached_property
     def evaluations(self) -> pd.DataFrame:
-        """A row an evaluation game that was played as the experiment trains and evaluates."""
-        table = self.all_evaluations
+        """Those of `all_evaluations` that were played as the experiment trains and evaluates."""
+        return self.as_trained(self.all_evaluations)
+
+    def as_trained(self, table: pd.DataFrame) -> pd.DataFrame:
+        """The evaluation games in `table` that were played as the experiment trains and
+        evaluates."""
         if table.empty:
             return table
         p = self.params
@@ -131,8 +135,19 @@ class Section:
 
     @cached_property
     def all_evaluations(self) -> pd.DataFrame:
-        """A row an evaluation game, at whatever difficulty and stickiness."""
-        return runs.read_table(self.usable, "evaluations.csv")
+        """A row an evaluation game of each run's newest model that was evaluated, at whatever
+        difficulty and stickiness."""
+        table = runs.read_table(self.usable, "evaluations.csv")
+        if table.empty:
+            return table
+        newest = table.groupby(["experiment", "agent", "seed"]).trained_games.transform("max")
+        return table[table.trained_games == newest]
+
+    @property
+    def final_evaluations(self) -> pd.DataFrame:
+        """Those of `all_evaluations` that are of finished runs."""
+        table = self.all_evaluations
+        return table if table.empty else table[table.trained_games >= self.params.episodes]
 
     @property
     def share(self) -> float:

@@ -177,7 +177,7 @@ def greedy(study: Study, first: str, second: str, column: str = "score") -> list
     for agent in _shared(pair):
         games = [
             table[table.agent == agent][column].to_numpy(float)
-            if not (table := section.evaluations).empty
+            if not (table := section.as_trained(section.final_evaluations)).empty
             else np.empty(0)
             for section in pair
         ]
@@ -239,9 +239,10 @@ def beaten_everywhere(study: Study) -> Verdict:
     """Dueling Double DQN, the most refined agent, wins on average at every difficulty, without
     sticky actions; it was trained at the first."""
     section = study["boxing_final"]
-    games = section.all_evaluations
+    games = section.final_evaluations
     if not games.empty:
-        games = games[(games.agent == DUELING) & (games.sticky_actions == 0)]
+        usual = games.epsilon == section.params.evaluation_epsilon
+        games = games[(games.agent == DUELING) & (games.sticky_actions == 0) & usual]
     played = 0 if games.empty else games.difficulty.nunique()
     if played < 4:
         return Verdict(
