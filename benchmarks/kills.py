@@ -38,6 +38,7 @@ SMALL = Parameters(
     batch_size=4,
     target_update_period=7,
     evaluation_games=2,
+    snapshot_games=[10, 40],
 )
 PROGRAM = """
 import sys
@@ -45,6 +46,7 @@ from pathlib import Path
 from atari_dqn import recording, runs
 from atari_dqn.params import Parameters
 recording.CHECKPOINT_SECONDS = 0.05
+recording.VALUES_PERIOD = 20
 print("ready", flush=True)
 parameters = Parameters.model_validate_json(sys.argv[1])
 recording.train(runs.Run(parameters, Path(sys.argv[2])))
@@ -113,7 +115,8 @@ def contents(folder: Path) -> dict[str, object]:
     run = Run(SMALL, folder)
     saved = checkpoints.load(run.state_folder)
     assert saved is not None
-    names = ("episodes.csv", "values.csv", "evaluations.csv", "model.safetensors")
+    names = ["episodes.csv", "values.csv", "evaluations.csv", "model.safetensors"]
+    names += [f"snapshots/games-{games:05d}.safetensors" for games in SMALL.snapshot_games]
     return {
         "trainer": saved["trainer"],
         "files": {name: (run.folder / name).read_bytes() for name in names},

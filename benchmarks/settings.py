@@ -69,6 +69,12 @@ def measure(label: str, parameters: Parameters, minutes: float, folder: Path) ->
     return done
 
 
+def _folder(state: Path, label: str, parameters: Parameters) -> Path:
+    """Where a variation's checkpoints are: another after every change of what it trains."""
+    version = f"{parameters.identity()[:8]}-v{params.TRAINING_VERSION}"
+    return state / f"{label.replace(' ', '-')}-{version}"
+
+
 def evaluate(network: nn.Module, parameters: Parameters) -> dict[str, Any]:
     """Mean score of greedy games with its interval."""
     games = evaluation.play(network, parameters, GAMES, parameters.seeds[0])
@@ -102,7 +108,7 @@ def main() -> None:
     with ProcessPoolExecutor(os.cpu_count(), mp_context=context) as pool:
         guessed = pool.submit(random_play, next(iter(setups.values())))
         jobs = [
-            pool.submit(measure, *setup, chosen.minutes, state / setup[0].replace(" ", "-"))
+            pool.submit(measure, *setup, chosen.minutes, _folder(state, *setup))
             for setup in setups.items()
         ]
         for job in as_completed(jobs):

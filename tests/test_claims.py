@@ -100,9 +100,12 @@ def test_the_parts_of_a_claim_are_weighed_together():
     assert both.verdict == "inconclusive"
     assert both.evidence == "supported; inconclusive"
     against = verdicts.all_of(
-        [verdicts.Verdict("contradicted", ""), verdicts.Verdict("not yet run", "")]
+        [verdicts.Verdict("contradicted", ""), verdicts.Verdict(verdicts.NOT_YET, "")]
     )
     assert against.verdict == "contradicted"
+    for kind in ("supported", "inconclusive"):
+        waiting = verdicts.all_of([verdicts.Verdict(kind, "a"), verdicts.Verdict("open", "b")])
+        assert (waiting.verdict, waiting.evidence) == ("open", "b")
     assert verdicts.negated(verdicts.Verdict("supported", "")).verdict == "contradicted"
     assert verdicts.negated(verdicts.Verdict("inconclusive", "")).verdict == "inconclusive"
 
@@ -115,6 +118,10 @@ def test_a_curve_that_swings_is_told_from_one_that_rises(tmp_path):
     assert verdict(tmp_path, claim).verdict == verdicts.SUPPORTED
     store(tmp_path, "boxing_early", "dqn", rising[:1400])
     assert verdict(tmp_path, claim).verdict == verdicts.INCONCLUSIVE
+    store(tmp_path, "boxing_early", "dqn", scores(0.0, games=1400))
+    flat = verdict(tmp_path, claim)
+    assert flat.verdict == verdicts.INCONCLUSIVE, "it does not learn at all"
+    assert "too flat to tell" in flat.evidence
 
 
 def test_only_dqn_is_human_in_breakout_falls_with_a_better_double_dqn(tmp_path):
@@ -136,16 +143,19 @@ def test_a_reading_tells_where_a_run_stands_and_when_it_passed_the_human_score(t
     passed = int(mean.gt(12.1).idxmax()) + 1
     assert "DQN scores 20.0 points a game over the last 100 of 300 games, 22% of its" in text
     assert f"first passed the human 12.1 after game {passed};" in text
-    assert "claims 1, 2, 3, 4 wait for games" in text
+    assert "claims 1, 2, 3, 4 are still open" in text
 
 
-def evaluate(run, **columns):
+def evaluate(run, trained=None, **columns):
     """Gives a run an evaluation of 40 greedy games, whose columns have the given means."""
-    columns = {"distance": 40.0, **columns}
+    columns = {"distance": 40.0, "scored": 30.0, "conceded": 10.0, **columns}
     rng = np.random.default_rng(1)
     games = {name: mean + rng.normal(0, 1, 40) for name, mean in columns.items()}
     table = pd.DataFrame({"game": range(40), "difficulty": run.params.difficulty, **games})
-    table = table.assign(sticky_actions=0.0, epsilon=0.001, trained_games=run.params.episodes)
+    table = table.assign(
+        sticky_actions=0.0, epsilon=0.001, trained_games=trained or run.params.episodes,
+        length=1785, frames=7140,
+    )  # fmt: skip
     table.to_csv(run.folder / "evaluations.csv", index=False)
 
 
@@ -157,9 +167,11 @@ def test_greedy_games_decide_where_two_set_ups_explore_differently(tmp_path):
             evaluate(run, score=50.0, conceded=conceded)
     found = verdict(tmp_path, claim)
     assert found.verdict == verdicts.SUPPORTED
-    assert "conceded, greedy: DQN: `boxing_low_gamma` 30." in found.evidence
+    assert "conceded a minute, greedy: DQN: `boxing_low_gamma` 15." in found.evidence
     evaluate(run, score=50.0, conceded=1.0)
     assert verdict(tmp_path, claim).verdict == verdicts.CONTRADICTED
+    evaluate(run, trained=300, score=50.0, conceded=30.0)
+    assert verdict(tmp_path, claim).verdict == verdicts.NOT_YET, "of an unfinished model"
 
 
 def test_no_gain_from_transfer_is_support_for_its_not_helping(tmp_path):
@@ -199,5 +211,8 @@ def test_three_seeds_a_side_are_compared_as_seeds(tmp_path):
     pair = (section, section)
     found = verdicts.better(pair, ("double_dqn", "dqn"), 1, 150)
     welch = stats.ttest_ind([25, 35, 45], [10, 20, 30], equal_var=False).confidence_interval()
+    assert found.verdict == verdicts.NOT_YET, "one seed is planned"
+    section.params = section.params.model_copy(update={"seeds": [1, 2, 3]})
+    found = verdicts.better(pair, ("double_dqn", "dqn"), 1, 150)
     assert found.verdict == verdicts.INCONCLUSIVE, "though every block of games is above"
     assert f"difference {welch.low:.1f} to {welch.high:.1f}" in found.evidence

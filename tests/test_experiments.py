@@ -89,12 +89,26 @@ def test_a_run_whose_source_is_not_trained_is_named_at_the_end(tmp_path, transfe
     )
 
 
+def test_nothing_is_trained_over_or_from_a_stale_run_here_or_on_a_cluster(
+    tmp_path, small, transfer
+):
+    recording.train(Run(small(), tmp_path))
+    before = (Run(small(), tmp_path).folder / "episodes.csv").read_bytes()
+    changed = [Run(small(gamma=0.5), tmp_path), Run(transfer, tmp_path)]
+    pending, failures = experiments.startable(changed)
+    assert pending == []
+    assert "holds a run that no longer matches: gamma was 0.99, now 0.5; --anew" in failures[0]
+    assert failures[1] == f"{changed[1].name} starts from {changed[0].name}, which is stale"
+    assert experiments.train_all(changed) == failures
+    assert (changed[0].folder / "episodes.csv").read_bytes() == before
+
+
 def test_an_unknown_experiment_to_start_from_is_refused_before_anything_is_trained(
     tmp_path, monkeypatch, transfer
 ):
     params.dump(transfer, tmp_path / "transfer.yaml")
     monkeypatch.setattr(experiments, "files", lambda profile: [tmp_path / "transfer.yaml"])
-    with pytest.raises(ParameterError, match=r"transfer\.yaml: initial_weights: 'small' is not"):
+    with pytest.raises(ParameterError, match=r"transfer: initial_weights: 'small' is not"):
         experiments.planned("smoke", [], tmp_path)
     (tmp_path / "runs" / "small").mkdir(parents=True)  # stored, though no file asks for it
     assert len(experiments.planned("smoke", [], tmp_path)) == 1

@@ -121,8 +121,18 @@ def test_values_injected_into_a_notebook_are_overrides_of_the_file_they_name(tmp
     assert params.resolve(values, tmp_path) == params.load(tmp_path / "mine.yaml")
     assert params.resolve({**values, "gamma": 0.8}, tmp_path).experiment.startswith("mine+")
     assert params.resolve({"experiment": "new", "gamma": 0.8}, tmp_path).gamma == 0.8
-    with pytest.raises(ParameterError, match=r"experiment: 'mien' is not allowed: there is no"):
-        params.resolve({"experiment": "mien", "profile": "full", "episodes": 5}, tmp_path)
+    with pytest.raises(ParameterError, match=r"experiment: 'other' is not allowed: there is no"):
+        params.resolve({"experiment": "other", "profile": "full", "episodes": 5}, tmp_path)
+    write(tmp_path, "gamma: 0.9", "boxing_final.yaml")
+    with pytest.raises(ParameterError, match=r"did you mean 'boxing_final'\?"):
+        params.resolve({"experiment": "boxing_finl", "gamma": 0.8}, tmp_path)
+
+
+def test_what_is_evaluated_besides_gives_an_experiment_no_other_name(tmp_path):
+    path = write(tmp_path, "gamma: 0.9")
+    before = params.load(path, {"gamma": 0.8}).experiment
+    path.write_text("gamma: 0.9\nevaluation_difficulties: [0, 1]\nevaluation_stickiness: [0.25]")
+    assert params.load(path, {"gamma": 0.8}).experiment == before
 
 
 def test_what_is_dumped_reads_back_the_same(tmp_path, small):

@@ -2,14 +2,14 @@ import pandas as pd
 import pytest
 
 from atari_dqn import ramtrace
-from atari_dqn.envs import FIRE, AtariGame
+from atari_dqn.envs import FIRE, AtariGame, boxing_points
 from atari_dqn.ramtrace import BOXERS
 
 NOOP = 0
 
 
 def test_a_score_is_two_decimal_digits_or_a_knockout():
-    assert [ramtrace.points(cell) for cell in (0x00, 0x07, 0x10, 0x99, 0xC0)] == [0, 7, 10, 99, 100]
+    assert [boxing_points(cell) for cell in (0x00, 0x07, 0x10, 0x99, 0xC0)] == [0, 7, 10, 99, 100]
 
 
 @pytest.fixture

@@ -6,6 +6,7 @@ import re
 import shutil
 import subprocess
 from pathlib import Path
+from unittest.mock import Mock
 
 import nbformat
 import papermill
@@ -15,6 +16,26 @@ from atari_dqn import experiments, report, runs
 
 ROOT = Path(__file__).parents[1]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
+
+
+def test_a_snapshot_stays_as_it_was_while_training_goes_on(tmp_path, monkeypatch):
+    folder = tmp_path / "runs" / "any" / "dqn" / "seed-1"
+    folder.mkdir(parents=True)
+    for name in ("episodes.csv", "model.safetensors", ".lock"):
+        (folder / name).write_text("before")
+    for linking in (True, False):
+        if not linking:  # as between two file systems
+            monkeypatch.setattr(report.os, "link", Mock(side_effect=OSError))
+        snapshot = report._snapshot(tmp_path) / "runs" / "any" / "dqn" / "seed-1"
+        with (folder / "episodes.csv").open("a") as file:
+            file.write(", after")
+        runs.write_atomically(folder / "model.safetensors", b"after")
+        assert {path.name: path.read_text() for path in snapshot.iterdir()} == {
+            "episodes.csv": "before",
+            "model.safetensors": "before",
+        }
+        (folder / "episodes.csv").write_text("before")
+        (folder / "model.safetensors").write_text("before")
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.name)

@@ -46,7 +46,9 @@ def test_evaluations_under_other_conditions_are_columns_and_never_mixed(tmp_path
         for (difficulty, sticky), score in {(0, 0.0): 90, (1, 0.0): 60, (0, 0.25): 30}.items()
         for game in range(3)
     ]
-    table = pd.DataFrame(rows).assign(epsilon=0.001, won=True, knockout=0, trained_games=3000)
+    table = pd.DataFrame(rows).assign(
+        epsilon=0.001, won=True, knockout=0, trained_games=3000, frames=7200, scored=60, conceded=9
+    )
     table.to_csv(run.folder / "evaluations.csv", index=False)
     section = Section("boxing_final", "full", str(tmp_path))
     results.show_conditions(section)

@@ -146,7 +146,9 @@ FINDINGS = (
         "A discount of 0.9 makes agents reckless: they concede more points than with 0.99",
         "3.3.2",
         ("boxing_low_gamma",),
-        lambda study: all_of(greedy(study, "boxing_low_gamma", "boxing_final", "conceded")),
+        lambda study: all_of(
+            greedy(study, "boxing_low_gamma", "boxing_final", "conceded_a_minute")
+        ),
     ),
     Claim(
         "A discount of 0.9 plays worse than 0.99",

@@ -32,7 +32,7 @@ def _newest(section: Section) -> list[tuple[Run, int]]:
 
 def show_best(section: Section, label: str, seconds: int) -> None:
     """The first seconds of a game by the run that scored best of late."""
-    stored = _newest(section)
+    stored = [(run, games) for run, games in _newest(section) if games]
     if not stored:
         hold_places(label)
         return
@@ -107,7 +107,10 @@ def show_knockout(section: Section, label: str) -> None:
         return
     game = won.iloc[0]
     run = next(run for run in section.runs if (run.agent, run.seed) == (game.agent, game.seed))
-    games = max(run.models())
+    games = int(game.trained_games)
+    if games not in run.models():  # training has gone on since
+        hold_places(label)
+        return
     title = f"{runs.title(run.agent)}, {games:,} games"
     network, number = _network(run, games), int(game.game)
     film = films.play_with_instruments(network, run.params, title, run.seed, number, (-15, None))

@@ -36,8 +36,9 @@ def train_all(wanted: list[Run], scheduler: str) -> list[str]:
         client = Client(scheduler, timeout=CONNECT_SECONDS)
     except (OSError, ValueError) as error:
         raise RunError(f"--scheduler {scheduler!r}: no Dask scheduler answers ({error})") from None
+    pending, failures = experiments.startable(wanted)
     with client, experiments.stopping_on_sigterm():
-        return _train_all(client, [run for run in wanted if run.state() != runs.COMPLETE])
+        return failures + _train_all(client, pending)
 
 
 def _train_all(client: Client, pending: list[Run]) -> list[str]:

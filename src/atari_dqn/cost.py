@@ -1,6 +1,7 @@
 """Speed and cost: the stored benchmark beside the peers, and the hours that the runs took."""
 
 import json
+from itertools import cycle
 
 import pandas as pd
 import seaborn as sns
@@ -80,6 +81,12 @@ def show_breakdown() -> None:
     )
 
 
+SETTINGS_COLUMNS = (
+    *("setup", "cpu_minutes", "agent_steps", "updates", "training_games"),
+    *("games", "score", "low", "high"),
+)
+
+
 def show_settings() -> None:
     """What single changes of the settings score for the same processor time."""
     figure_label, table_label = "fig-settings-study", "tbl-settings-study"
@@ -88,13 +95,12 @@ def show_settings() -> None:
         show_absent(figure_label, "`python benchmarks/settings.py` has not been run.")
         hold_places(table_label)
         return
-    measured = pd.read_csv(path)
+    measured = pd.read_csv(path).reindex(columns=SETTINGS_COLUMNS)
     guessed, trained = measured[measured.cpu_minutes.isna()], measured.dropna(subset="cpu_minutes")
     figure, axes = plt.subplots(figsize=(plots.WIDTH, 3.2))
-    for colour, (marker, (name, rows)) in zip(
-        sns.color_palette("colorblind"),
-        zip("osD^vP", trained.groupby("setup", sort=False), strict=False),
-        strict=False,
+    looks = zip(sns.color_palette("colorblind"), cycle("osD^vP"), strict=False)
+    for (name, rows), (colour, marker) in zip(
+        trained.groupby("setup", sort=False), cycle(looks), strict=False
     ):
         errors = (rows.score - rows.low, rows.high - rows.score)
         axes.errorbar(

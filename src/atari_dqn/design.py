@@ -117,11 +117,13 @@ def differences(of: list[Parameters]) -> pd.DataFrame:
             for key in Parameters.model_fields
             if key not in params.NOT_TRAINING and getattr(item, key) != getattr(first, key)
         ]
-        different += [f"variations: {', '.join(item.variations)}"] * bool(item.variations)
+        different += [f"variations: {'; '.join(item.variations)}"] * bool(item.variations)
         rows.append(
             {
                 "experiment": f"`{item.experiment}`",
-                "agents": ", ".join(AGENTS[agent].title for agent in item.agents),
+                "agents": "all three"
+                if len(item.agents) == len(AGENTS)
+                else ", ".join(AGENTS[agent].title for agent in item.agents),
                 "games": f"{item.episodes:,}",
                 "what differs": "; ".join(different) or "–",
             }

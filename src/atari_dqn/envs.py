@@ -56,6 +56,12 @@ GAMES = {
 }
 
 
+def boxing_points(cell: int) -> int:
+    """The points that a memory cell of Boxing holds: a decimal digit in each half, or a
+    knock-out's."""
+    return 100 if cell == 0xC0 else 10 * (cell >> 4) + (cell & 0xF)
+
+
 class AtariGame(gymnasium.Env):
     """One cartridge in one emulator, preprocessed as in Mnih et al. (2015), Methods.
 
@@ -165,6 +171,13 @@ class AtariGame(gymnasium.Env):
             return 0
         agent, rival = (self.ram()[cell] == 0xC0 for cell in self.facts.knockout_cells)
         return int(agent) - int(rival)
+
+    def points(self) -> tuple[float, float]:
+        """What the agent and its rival have scored so far; without a rival, the score and 0."""
+        if self.facts.knockout_cells is None:
+            return self.score, 0.0
+        agent, rival = (boxing_points(int(self.ram()[cell])) for cell in self.facts.knockout_cells)
+        return float(agent), float(rival)
 
     def distance(self) -> float:
         """How far apart the two boxers stand, in pixels; nan in other games."""

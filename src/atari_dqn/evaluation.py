@@ -39,8 +39,8 @@ class PlayedGame:
     sticky_actions: float  # probability a frame
     epsilon: float  # probability of a random action
     seed: int
-    scored: float  # points that the agent gained
-    conceded: float  # points that it lost
+    scored: float  # points of the agent alone
+    conceded: float  # points of its rival
     distance: float  # pixels between the two boxers, mean over the steps; nan in other games
 
 
@@ -91,7 +91,6 @@ class Table:
         self.rng = np.random.default_rng()
         self.params = params
         self.rewards: list[float] = []  # of every step, as they are learned from
-        self.raw: list[float] = []  # the same, unclipped
         self.distances: list[float] = []
 
     def start(self, game: int, seed: int) -> None:
@@ -100,13 +99,12 @@ class Table:
         emulator_seed, action_seed = sequence.generate_state(2)
         self.planes[:] = self.emulator.reset(seed=int(emulator_seed))[0].reshape(-1)
         self.rng = np.random.default_rng(action_seed)
-        self.game, self.rewards, self.raw, self.distances = game, [], [], []
+        self.game, self.rewards, self.distances = game, [], []
 
     def step(self, action: int) -> bool:
         """Plays one agent step; true when the game has ended."""
         image, raw, terminated, truncated, info = self.emulator.step(action)
         self.rewards.append(learned_reward(self.params, raw, info["life_lost"]))
-        self.raw.append(raw)
         self.distances.append(self.emulator.distance())
         self.planes[:-1] = self.planes[1:]
         self.planes[-1] = image.reshape(-1)
@@ -125,8 +123,7 @@ class Table:
             params.sticky_actions,
             params.evaluation_epsilon,
             seed,
-            float(sum(raw for raw in self.raw if raw > 0)),
-            float(-sum(raw for raw in self.raw if raw < 0)),
+            *emulator.points(),
             float(np.mean(self.distances)),
         )
 

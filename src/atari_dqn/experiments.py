@@ -55,14 +55,15 @@ def planned(profile: str, names: list[str], results: Path | None) -> list[Run]:
             )
     chosen = [params.load(available[name]) for name in dict.fromkeys(names or available)]
     folder = runs.results_folder(profile, results)
-    for parameters in chosen:
-        source = parameters.initial_weights
+    wanted = [run for parameters in chosen for run in runs.runs_of(parameters, folder)]
+    for run in wanted:
+        source = run.params.initial_weights
         if source and source not in available and not (folder / "runs" / source).exists():
             raise ParameterError(
-                f"{available[parameters.experiment]}: initial_weights: {source!r} is not allowed: "
-                f"must be stored in {folder / 'runs'} or one of {', '.join(available)}"
+                f"{run.params.experiment}: initial_weights: {source!r} is not allowed: must be "
+                f"stored in {folder / 'runs'} or one of {', '.join(available)}"
             )
-    return [run for parameters in chosen for run in runs.runs_of(parameters, folder)]
+    return wanted
 
 
 def status(wanted: list[Run]) -> pd.DataFrame:
@@ -120,6 +121,25 @@ def summary(table: pd.DataFrame) -> str:
     return f"{len(table)} runs: {listed}; {share}; about {left}"
 
 
+def startable(wanted: list[Run]) -> tuple[list[Run], list[str]]:
+    """The runs that are to be trained, and a line for each that cannot be: what is stored of it, or
+    of the run that it starts from, is of other settings."""
+    pending, failures = [], []
+    stale = {run.name for run in wanted if run.state() == runs.STALE}
+    for run in wanted:
+        source = run.source()
+        if run.name in stale:
+            failures.append(
+                f"{run.folder} holds a run that no longer matches: {'; '.join(run.changes())}; "
+                "--anew keeps it elsewhere and begins again"
+            )
+        elif source is not None and source.name in stale and run.state() == runs.MISSING:
+            failures.append(f"{run.name} starts from {source.name}, which is stale")
+        elif run.state() != runs.COMPLETE:
+            pending.append(run)
+    return pending, failures
+
+
 def take_ready(pending: list[Run], active: list[Run]) -> Run | None:
     """Takes the first run out of `pending` that waits for no other, and for none that is still to
     be trained or is being trained now."""
@@ -162,11 +182,10 @@ def train_all(wanted: list[Run], workers: int | None = None) -> list[str]:
     returns a line for each that failed or had to wait in vain. Ctrl-C and SIGTERM leave every run
     resumable and raise KeyboardInterrupt.
     """
-    pending = [run for run in wanted if run.state() != runs.COMPLETE]
+    pending, failures = startable(wanted)
     context = multiprocessing.get_context("spawn")
     active: dict[int, _Worker] = {}
     places = list(range(workers or cores()))  # lines for progress bars
-    failures: list[str] = []
     with stopping_on_sigterm():
         try:
             while True:

@@ -14,7 +14,8 @@ PACKAGE = Path(__file__).parent
 
 def fingerprint(notebook: Path, profile: str, results: Path) -> str:
     """SHA-256 (hex) of a notebook and what it depends on: the modules that it imports, directly
-    or through others; the data files beside it; the stored runs of the experiments that it names.
+    or through others; the data files beside it; the stored benchmarks; the stored runs of the
+    experiments that it names.
     """
     source = notebook.read_text(encoding="utf-8")
     code = "\n".join(
@@ -23,7 +24,8 @@ def fingerprint(notebook: Path, profile: str, results: Path) -> str:
         if cell["cell_type"] == "code"
     )
     digest = hashlib.sha256(f"{profile}\n{source}".encode())
-    for path in [*_modules(code), *_data(notebook), *_stored(code, profile, results)]:
+    measured = sorted((runs.project_root() / "results" / "benchmarks").glob("*.*"))
+    for path in [*_modules(code), *_data(notebook), *measured, *_stored(code, profile, results)]:
         digest.update(f"{path.parent.name}/{path.name}\n".encode())
         digest.update(path.read_bytes())
     return digest.hexdigest()
@@ -63,6 +65,4 @@ def _stored(code: str, profile: str, results: Path) -> Iterator[Path]:
             continue
         yield path
         for run in runs.runs_of(params.load(path), results):
-            names = ("episodes.csv", "values.csv", "evaluations.csv", "status.json")
-            files = [run.folder / name for name in (*names, "model.safetensors")]
-            yield from (file for file in files if file.exists())
+            yield from sorted(file for file in run.folder.rglob("[!.]*") if file.is_file())

@@ -161,7 +161,8 @@ class Parameters(BaseModel):
 
     def variant(self) -> str:
         """Eight hexadecimal digits that name these settings among an experiment's variants."""
-        return _digest(self.model_dump(exclude=NOT_VARIANT, exclude_defaults=True))[:8]
+        exclude = NOT_VARIANT | EVALUATED_BESIDES
+        return _digest(self.model_dump(exclude=exclude, exclude_defaults=True))[:8]
 
     def identity(self) -> str:
         """SHA-256 (hex) of what decides what is learned.
@@ -175,7 +176,8 @@ class Parameters(BaseModel):
 
 NOT_VARIANT = {"experiment", "profile", "agents", "seeds", "episodes", "device", "variations"}
 NOT_TRAINING = NOT_VARIANT | {"snapshot_games", "evaluation_games", "evaluation_epsilon"}
-NOT_TRAINING |= {"evaluation_difficulties", "evaluation_stickiness"}
+EVALUATED_BESIDES = {"evaluation_difficulties", "evaluation_stickiness"}
+NOT_TRAINING |= EVALUATED_BESIDES
 
 
 def _check_variation(params: Parameters, label: str, changes: dict[str, Any]) -> None:
@@ -300,10 +302,12 @@ def resolve(values: dict[str, Any], folder: Path) -> Parameters:
     path = folder / profile / f"{given.experiment}.yaml"
     if path.exists():
         return load(path, values)
-    if set(values) <= NOT_TRAINING:
+    names = [file.stem for file in folder.glob("*.yaml")]
+    nearest = difflib.get_close_matches(given.experiment, names, n=1, cutoff=0.85)
+    why = f"did you mean {nearest[0]!r}?" if nearest else "no parameter of the training is given"
+    if nearest or set(values) <= NOT_TRAINING:
         raise ParameterError(
-            f"experiment: {given.experiment!r} is not allowed: there is no {path}, and "
-            "no parameter of the training is given"
+            f"experiment: {given.experiment!r} is not allowed: there is no {path}; {why}"
         )
     return given
 

@@ -8,11 +8,11 @@ import pandas as pd
 from atari_dqn import runs
 from atari_dqn.exhibits import show_absent, show_table
 from atari_dqn.sections import Section
-from atari_dqn.statistics import interval
+from atari_dqn.statistics import with_interval
 
 
 def show(sections: Iterable[Section], label: str) -> None:
-    """A row a finished run: points scored and conceded a game, and the boxers' distance."""
+    """A row an evaluated run: points scored and conceded a minute, and the boxers' distance."""
     rows: list[dict[str, Any]] = []
     for section in sections:
         if section.evaluations.empty:
@@ -25,12 +25,11 @@ def show(sections: Iterable[Section], label: str) -> None:
                 "training games": int(games.trained_games.max()),
             }
             for column, name in (
-                ("scored", "points scored"),
-                ("conceded", "points conceded"),
+                ("scored_a_minute", "points scored"),
+                ("conceded_a_minute", "points conceded"),
                 ("distance", "distance (pixels)"),
             ):
-                low, high = interval(games[column].to_numpy())
-                row[name] = f"{games[column].mean():.1f} ({low:.1f} to {high:.1f})"
+                row[name] = with_interval(games[column].to_numpy())
             rows.append(row)
     if not rows:
         show_absent(label, "A table of play styles follows when an agent has been evaluated.")
@@ -38,6 +37,6 @@ def show(sections: Iterable[Section], label: str) -> None:
     show_table(
         pd.DataFrame(rows),
         label=label,
-        caption="How the agents box in the greedy games of their evaluation: points a game, and "
+        caption="How the agents box in the greedy games of their evaluation: points a minute, and "
         "the mean distance of the two boxers, with bootstrap intervals over games.",
     )

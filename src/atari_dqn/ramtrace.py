@@ -13,7 +13,7 @@ import seaborn as sns
 from matplotlib import pyplot as plt
 from matplotlib.figure import Figure
 
-from atari_dqn.envs import GAMES, AtariGame
+from atari_dqn.envs import GAMES, AtariGame, boxing_points
 from atari_dqn.plots import WIDTH
 
 HOLD = 4  # frames that a random action is held, as an agent would
@@ -46,11 +46,6 @@ class Punch(NamedTuple):
     arm: int  # of the boxer's two, the one that is farther out
 
 
-def points(cell: int) -> int:
-    """The score that a memory cell holds."""
-    return 100 if cell == 0xC0 else 10 * (cell >> 4) + (cell & 0xF)
-
-
 def scoring_punches(games: int, seed: int = 0) -> Iterator[tuple[Punch, np.ndarray]]:
     """Plays games with random actions; yields every punch that scores, of either boxer, and the
     picture at that moment, uint8 [210, 160, 3]."""
@@ -65,7 +60,7 @@ def scoring_punches(games: int, seed: int = 0) -> Iterator[tuple[Punch, np.ndarr
             over = game.step(action)[2]
             after = game.ram().tolist()
             for name, cells in BOXERS.items():
-                gained = points(after[cells.score]) - points(before[cells.score])
+                gained = boxing_points(after[cells.score]) - boxing_points(before[cells.score])
                 if gained:
                     dx = abs(before[computer.x] - before[agent.x])
                     dy = abs(before[computer.y] - before[agent.y])

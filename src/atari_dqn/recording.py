@@ -68,7 +68,7 @@ def train(
         if before == STALE:
             raise RunError(
                 f"{run.folder} holds a run that no longer matches: {'; '.join(run.changes())}; "
-                "move it away to train anew"
+                "--anew keeps it elsewhere and begins again"
             )
         if before == COMPLETE:
             return f"{run.name} is complete: {run.status()['episodes_done']} games"
@@ -273,7 +273,7 @@ class Recorder:
                     bar.update()
                     if stopped():
                         raise KeyboardInterrupt
-        store_evaluation(folder, played)
+        store_evaluation(folder, played, self.episodes)
         self.write_provenance()
         self.write_status(COMPLETE)
 

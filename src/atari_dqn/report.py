@@ -9,6 +9,7 @@ import os
 import shutil
 import tempfile
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import suppress
 from pathlib import Path
 
 import nbformat
@@ -64,10 +65,11 @@ def _snapshot(folder: Path) -> Path:
     (folder / "runs").mkdir(parents=True, exist_ok=True)
 
     def copy(source: str, target: str) -> None:
-        if source.endswith(".csv"):
-            shutil.copyfile(source, target)  # may be appended to
-        else:
-            os.link(source, target)  # is replaced as a whole, if ever
+        if not source.endswith(".csv"):  # which may be appended to; others are replaced, if ever
+            with suppress(OSError):  # no links between these folders
+                os.link(source, target)
+                return
+        shutil.copyfile(source, target)
 
     ignored = shutil.ignore_patterns(".*")
     shutil.copytree(folder / "runs", snapshot / "runs", ignore=ignored, copy_function=copy)

@@ -125,6 +125,9 @@ def show_conditions(section: Section) -> None:
         return
     rows = []
     played = table[table.epsilon == p.evaluation_epsilon]
+    if played.empty:
+        hold_places(label)
+        return
     for (agent, seed, difficulty, sticky), games in played.groupby(keys, sort=False):
         rows.append(
             {
@@ -139,7 +142,8 @@ def show_conditions(section: Section) -> None:
         pd.DataFrame(rows),
         label=label,
         caption=f"{section.facts.title}, `{p.experiment}`: evaluation games under other conditions "
-        f"than those of the training, which were difficulty {p.difficulty} and no sticky actions. "
+        f"than those of the training too, which were difficulty {p.difficulty} and a probability "
+        f"of sticky actions of {p.sticky_actions:g}. "
         "Intervals are over games.",
         decimals=1,
     )
@@ -306,8 +310,9 @@ def _greedy(section: Section, agent: str, games: int) -> float:
 
 
 def _curve(section: Section, agent: str) -> np.ndarray:
-    """Mean score of each training game, over seeds: float64 [games]."""
+    """Mean score of each training game, over seeds that all have played it: float64 [games]."""
     if section.episodes.empty:
         return np.empty(0)
     own = section.episodes[section.episodes.agent == agent]
-    return own.groupby("episode").score.mean().to_numpy()
+    reached = own.groupby("seed").episode.max().min()  # by every seed
+    return own[own.episode <= reached].groupby("episode").score.mean().to_numpy()

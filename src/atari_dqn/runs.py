@@ -235,21 +235,21 @@ def evaluate(
     except (SafetensorError, RuntimeError) as error:
         reason = str(error).splitlines()[0]
         raise RunError(f"{folder / 'model.safetensors'} cannot be read: {reason}") from None
-    seed = parameters.seeds[0]
+    seed, trained = parameters.seeds[0], evaluation.trained_games(folder / "model.safetensors")
     playing = evaluation.play(network, parameters, games, seed)
     played = list(tqdm(playing, total=games, desc="evaluating", unit="game", mininterval=2))
-    store_evaluation(folder, played)
+    store_evaluation(folder, played, trained)
     if video is not None:
         evaluation.film(network, parameters, video, 0, seed)
     return pd.DataFrame([asdict(game) for game in played]).sort_values("game", ignore_index=True)
 
 
-def store_evaluation(folder: Path, played: list[PlayedGame]) -> None:
-    """Adds games of the folder's model to evaluations.csv, in the place of the same games of the
-    same model and settings."""
+def store_evaluation(folder: Path, played: list[PlayedGame], trained_games: int) -> None:
+    """Adds games of a model, after so many games of training, to evaluations.csv, in the place of
+    the same games of the same model and settings."""
     path = folder / "evaluations.csv"
     table = pd.DataFrame([asdict(game) for game in played])
-    table["trained_games"] = evaluation.trained_games(folder / "model.safetensors")
+    table["trained_games"] = trained_games
     settings = ["trained_games", "difficulty", "sticky_actions", "epsilon", "seed"]
     if path.exists():
         table = pd.concat([pd.read_csv(path), table])

@@ -16,6 +16,8 @@ from atari_dqn.params import ParameterError, Parameters
 from atari_dqn.runs import Run
 from atari_dqn.statistics import MARKS
 
+FRAMES_A_MINUTE = 60 * 60
+
 
 def injected() -> dict[str, Any]:
     """The names that the notebook's parameter cells assign, with their values now.
@@ -141,7 +143,9 @@ class Section:
         if table.empty:
             return table
         newest = table.groupby(["experiment", "agent", "seed"]).trained_games.transform("max")
-        return table[table.trained_games == newest]
+        minutes = table.frames / FRAMES_A_MINUTE
+        table = table.assign(conceded_a_minute=table.conceded / minutes)
+        return table.assign(scored_a_minute=table.scored / minutes)[table.trained_games == newest]
 
     @property
     def final_evaluations(self) -> pd.DataFrame:

@@ -37,14 +37,17 @@ def headline(study: Study) -> str:
 
 
 def _best(section: Section) -> tuple[str, int, float]:
-    """The agent with the best mean of late, its games, and that mean over its last 100 games."""
-    if section.episodes.empty:
+    """The agent that scored best of late, of those that have begun: its name, the games that all of
+    them have played, and its mean score over the last `RECENT` of these; 0 games if too few."""
+    episodes = section.episodes
+    if episodes.empty:
         return "", 0, 0.0
-    recent = section.episodes.groupby(["agent", "seed"]).tail(RECENT)
-    means = recent.groupby(["agent", "seed"]).score.mean()
-    agent, seed = means.idxmax()
-    own = section.episodes[(section.episodes.agent == agent) & (section.episodes.seed == seed)]
-    return runs.title(agent), int(own.episode.max()), float(means.max())
+    games = int(episodes.groupby(["agent", "seed"]).episode.max().min())
+    if games < min(RECENT, section.params.episodes):
+        return "", 0, 0.0
+    recent = episodes[episodes.episode.between(games - RECENT + 1, games)]
+    means = recent.groupby("agent").score.mean()
+    return runs.title(str(means.idxmax())), games, float(means.max())
 
 
 def conclusion(study: Study) -> str:
@@ -79,12 +82,12 @@ def cards(study: Study) -> str:
     section = study["boxing_final"]
     games = sum(len(each.episodes) for each in study.sections.values())
     judged = findings(study).verdict
-    _, played, score = _best(section)
+    best, played, score = _best(section)
     window = min(RECENT, played)
     numbers = [
-        (f"{score:.1f}", f"points in Boxing: the best mean of a run's last {window} training games")
+        (f"{score:.1f}", f"points in Boxing: {best}, mean of {window} training games")
         if played
-        else ("–", "points in Boxing: no game is stored yet"),
+        else ("–", f"points in Boxing: not all agents begun have played {RECENT} games"),
         (f"{section.facts.human:g}", "points: a human tester's mean"),
         (f"{games:,}", "training games stored"),
         (f"{(judged != NOT_YET).sum()} of {len(judged)}", "claims of the source report judged"),
@@ -119,10 +122,8 @@ def reading(study: Study, experiment: str) -> str:
     if not lines:
         return ""
     if waiting:
-        noun, verb = ("claims", "wait") if len(waiting) > 1 else ("claim", "waits")
-        lines.append(
-            f"- Of @tbl-findings, {noun} {', '.join(waiting)} {verb} for games still to be played."
-        )
+        noun, verb = ("claims", "are") if len(waiting) > 1 else ("claim", "is")
+        lines.append(f"- Of @tbl-findings, {noun} {', '.join(waiting)} {verb} still open.")
     head = "**What was found:**" if section.complete else "**What was found so far:**"
     return f"{head}\n\n" + "\n".join(lines)
 

@@ -7,12 +7,13 @@ whole interval lies on the claim's side of zero, `contradicted` if it lies on th
 The interval is over seeds (Welch's t) where both sides have three or more. With fewer it is over
 blocks of 50 training games, of which those of two runs that hold the same games are paired: it
 then says how steady the difference is within these runs, and nothing about other seeds. Greedy
-games of finished runs are compared game by game (Welch's t).
+games of finished runs are compared likewise, or game by game (Welch's t).
 """
 
 from dataclasses import dataclass
 
 import numpy as np
+import pandas as pd
 
 from atari_dqn import runs
 from atari_dqn.agents import AGENTS
@@ -29,6 +30,7 @@ SUPPORTED, CONTRADICTED = "supported", "contradicted"
 INCONCLUSIVE, NOT_YET = "inconclusive", "open"
 DQN, DOUBLE, DUELING = AGENTS
 SEEDS = 3  # from which an interval is over seeds
+FLAT = 6  # times a block's own noise; a curve of less range shows nothing but noise
 
 
 @dataclass(frozen=True)
@@ -55,7 +57,7 @@ def all_of(verdicts: list[Verdict]) -> Verdict:
 def above(section: Section, agent: str, first: int, last: int, score: float) -> Verdict:
     """That an agent's games `first` to `last` score more than `score` on average."""
     scores = section.scores(agent, first, last)
-    if scores.size == 0 or scores.shape[1] < 3 * BLOCK:
+    if not _enough(section, scores):
         return _not_yet(section)
     if len(scores) >= SEEDS:
         low, high = student_interval(scores.mean(axis=1))
@@ -74,19 +76,29 @@ def better(
     gain: bool = False,
 ) -> Verdict:
     """That the first of two agents, each in its section, scores more in games `first` to `last`,
-    by more than `margin`. With `gain`, what each scores above its own first 50 games."""
+    by more than `margin`. With `gain`, what each scores above its own first 50 games, which
+    are then left out; `first` must be 1."""
     scores = [
         section.scores(agent, first, last) for section, agent in zip(sections, agents, strict=True)
     ]
-    if any(found.size == 0 or found.shape[1] < 3 * BLOCK for found in scores):
+    if not all(map(_enough, sections, scores)):
         return _not_yet(*dict.fromkeys(sections))
+    doubt = 0.0  # of the first games' means, points: half an interval
     if gain:
-        scores = [found - found[:, :BLOCK].mean() for found in scores]
+        begins = [found[:, :BLOCK] for found in scores]
+        errors = [np.var(begin) / begin.size for begin in begins]
+        doubt = 1.96 * float(np.sqrt(sum(errors)))
+        scores = [
+            found[:, BLOCK:] - begin.mean(axis=1, keepdims=True)
+            for found, begin in zip(scores, begins, strict=True)
+        ]
     one, other = scores
     if min(len(one), len(other)) >= SEEDS:
         low, high = welch_interval(one.mean(axis=1), other.mean(axis=1))
     else:
         low, high = series_interval(blocks(one.mean(axis=0) - other.mean(axis=0)))
+        middle, half = (low + high) / 2, float(np.hypot((high - low) / 2, doubt))
+        low, high = middle - half, middle + half
     means = _against(sections, agents, [found.mean() for found in scores])
     return Verdict(
         _side(low - margin, high - margin), f"{means}, difference {low:.1f} to {high:.1f}"
@@ -102,11 +114,17 @@ def _against(sections: tuple[Section, Section], agents: tuple[str, str], means: 
     return " against ".join(f"{name} {mean:.1f}" for name, mean in zip(names, means, strict=True))
 
 
+def _enough(section: Section, scores: np.ndarray) -> bool:
+    """Whether all seeds have played the games [seeds, games], and there are blocks for a line."""
+    return len(scores) == len(section.params.seeds) and scores.shape[1] >= 3 * BLOCK
+
+
 def _not_yet(*sections: Section) -> Verdict:
     shares = [
         f"`{each.params.experiment}` {_share(each)}" for each in sections if not each.complete
     ]
-    return Verdict(NOT_YET, f"games played: {', '.join(shares)}")
+    said = f"games played: {', '.join(shares)}" if shares else "too few games for an interval"
+    return Verdict(NOT_YET, said)
 
 
 def _share(section: Section) -> str:
@@ -171,24 +189,39 @@ def _shared(pair: tuple[Section, Section]) -> list[str]:
 
 def greedy(study: Study, first: str, second: str, column: str = "score") -> list[Verdict]:
     """That an agent's greedy games after training in the first experiment have more of something
-    than those after training in the second: a verdict for every agent."""
+    than those after training in the second: a verdict for every agent.
+
+    Few openings and hardly any chance: of games that repeat one another, one counts.
+    """
     pair = (study[first], study[second])
     verdicts = []
     for agent in _shared(pair):
-        games = [
-            table[table.agent == agent][column].to_numpy(float)
-            if not (table := section.as_trained(section.final_evaluations)).empty
-            else np.empty(0)
-            for section in pair
-        ]
-        if min(map(len, games)) < 2:
+        games = [_distinct_games(section, agent, column) for section in pair]
+        if any(
+            len(found) < len(section.params.seeds) or min(map(len, found.values())) < 2
+            for section, found in zip(pair, games, strict=True)
+        ):
             verdicts.append(_not_yet(*pair))
             continue
-        low, high = welch_interval(*games)
-        means = _against(pair, (agent, agent), [found.mean() for found in games])
-        said = f"{means}, difference {low:.1f} to {high:.1f}"
-        verdicts.append(Verdict(_side(low, high), f"{column}, greedy: {said}"))
+        if min(map(len, games)) >= SEEDS:
+            sides = [np.array([own.mean() for own in found.values()]) for found in games]
+        else:
+            sides = [np.concatenate(list(found.values())) for found in games]
+        low, high = welch_interval(*sides)
+        means = _against(pair, (agent, agent), [side.mean() for side in sides])
+        name = column.replace("_", " ")
+        said = f"{name}, greedy: {means}, difference {low:.1f} to {high:.1f}"
+        verdicts.append(Verdict(_side(low, high), said))
     return verdicts or [_ALONE]
+
+
+def _distinct_games(section: Section, agent: str, column: str) -> dict[int, np.ndarray]:
+    """{seed: what the agent's evaluation games have of something}, of finished runs."""
+    table = section.as_trained(section.final_evaluations)
+    if table.empty:
+        return {}
+    own = table[table.agent == agent].drop_duplicates(["seed", "score", "length", "distance"])
+    return {int(seed): games[column].to_numpy(float) for seed, games in own.groupby("seed")}
 
 
 def overestimation(study: Study, experiment: str) -> Verdict:
@@ -219,11 +252,14 @@ def steadier(study: Study, steady: str, unsteady: str, agent: str) -> Verdict:
     rough = []
     for name in (steady, unsteady):
         scores = study[name].scores(agent, 1, study[unsteady].params.episodes)
-        if scores.size == 0 or scores.shape[1] < 5 * BLOCK:
+        if not _enough(study[name], scores) or scores.shape[1] < 5 * BLOCK:
             return _not_yet(study[steady], study[unsteady])
         means = blocks(scores.mean(axis=0))
+        noise = float(scores.mean(axis=0).std()) / np.sqrt(BLOCK)  # of a block's mean, at most
+        if np.ptp(means) < FLAT * noise:
+            return Verdict(INCONCLUSIVE, f"the curve of `{name}` is too flat to tell")
         bends = np.abs(means[1:-1] - (means[:-2] + means[2:]) / 2)
-        rough.append(100 * bends / max(np.ptp(means), 1e-9))
+        rough.append(100 * bends / np.ptp(means))
     low, high = series_interval(rough[1] - rough[0])
     said = " against ".join(
         f"`{name}` {found.mean():.1f}%"
@@ -243,7 +279,8 @@ def beaten_everywhere(study: Study) -> Verdict:
     if not games.empty:
         usual = games.epsilon == section.params.evaluation_epsilon
         games = games[(games.agent == DUELING) & (games.sticky_actions == 0) & usual]
-    played = 0 if games.empty else games.difficulty.nunique()
+    sizes = pd.Series() if games.empty else games.groupby("difficulty").size()
+    played = int((sizes > 1).sum())
     if played < 4:
         return Verdict(
             NOT_YET, f"{runs.title(DUELING)} is evaluated at {played} of 4 difficulties so far"
