@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 from test_claims import store
 
-from atari_dqn import results
+from atari_dqn import exhibits, results
 from atari_dqn.sections import Section
 
 
@@ -20,6 +20,16 @@ def tables(monkeypatch):
     monkeypatch.setattr(results, "show_table", show)
     monkeypatch.setattr(results, "show_figure", lambda *_, **__: None)
     return shown
+
+
+def test_missing_numbers_of_any_kind_are_dashes_and_numbers_stand_to_the_right(monkeypatch):
+    said = []
+    monkeypatch.setattr(exhibits, "show_text", said.append)
+    table = pd.DataFrame({"agent": ["DQN", None], "score": [1.25, np.nan], "games": [3, pd.NA]})
+    exhibits.show_table(table.astype({"games": "Int64"}), "tbl-any", "A caption.", decimals=1)
+    rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in said[0].splitlines()[:4]]
+    assert rows[2:] == [["DQN", "1.2", "3"], ["–", "–", "–"]]
+    assert [cell.endswith(":") for cell in rows[1]] == [False, True, True]
 
 
 def test_transfer_is_measured_over_the_games_that_both_runs_have(tmp_path, tables):

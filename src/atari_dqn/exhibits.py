@@ -76,8 +76,8 @@ def show_film(film: Film, label: str, caption: str, alt: str, data: str = "") ->
 
 def show_table(table: pd.DataFrame, label: str, caption: str, decimals: int = 2) -> None:
     """Shows a table with its caption; missing numbers are dashes."""
-    shown = table.map(lambda cell: f"{cell:.{decimals}f}" if isinstance(cell, float) else cell)
-    shown = shown.mask(table.isna(), "–")
+    shown = table.astype(object).where(table.notna(), "–")
+    shown = shown.map(lambda cell: f"{cell:.{decimals}f}" if isinstance(cell, float) else cell)
     right = tuple("right" if kind.kind in "if" else "left" for kind in table.dtypes)
     text = shown.to_markdown(index=False, disable_numparse=True, colalign=right)
     head, _, *rows = text.splitlines()
