@@ -164,14 +164,14 @@ FINDINGS = (
     ),
     Claim(
         "All agents learn faster in expert mode: they gain more in the first 500 games",
-        "1.1 (additional results)",
+        "additional",
         ("boxing_expert",),
         lambda study: all_of(between(study, "boxing_expert", "boxing_final", mark=1, gain=True)),
     ),
     Claim(
         f"Starting from a Breakout agent is worth less than {MARGIN:g} points in Boxing, early "
         "(first 500 games) and at the end",
-        "1.1 (additional results)",
+        "additional",
         ("boxing_transfer",),
         lambda study: all_of(
             [

@@ -47,7 +47,7 @@ def show_best(section: Section, label: str, seconds: int) -> None:
         label=label,
         caption=f"{runs.title(run.agent)} after {games:,} training games: the first {seconds} "
         f"seconds of a bout that ends with {_scored(film)}. On the page: what the network sees, "
-        "and the value it gives each action. On paper: the value of its best action (*max Q*), "
+        "and the value it gives each action. On paper: the value of its best action (max Q), "
         "with a thin line at each picture.",
         alt=ALT.format(section.facts.title),
         data=str(run.name),
