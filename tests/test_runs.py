@@ -184,10 +184,13 @@ def test_raising_the_number_of_games_continues_a_finished_run(tmp_path, small):
         return run
 
     stepwise, at_once = trained("stepwise", 2, 5), trained("at_once", 5)
-    for name in ("episodes.csv", "model.safetensors", "evaluations.csv"):
+    for name in ("episodes.csv", "model.safetensors"):
         assert (stepwise.folder / name).read_bytes() == (at_once.folder / name).read_bytes()
     provenance = json.loads((stepwise.folder / "provenance.json").read_text())
     assert provenance["resumes"] == 1
+    kept, one = (pd.read_csv(run.folder / "evaluations.csv") for run in (stepwise, at_once))
+    assert set(kept.trained_games) == {2, 5}
+    pd.testing.assert_frame_equal(kept[kept.trained_games == 5].reset_index(drop=True), one)
 
 
 def test_a_run_that_no_longer_matches_is_stale_and_stays_untouched(tmp_path, small):

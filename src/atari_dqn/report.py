@@ -26,6 +26,7 @@ STAMP = {"full": "", "quick": "QUICK RUN, NOT EVIDENCE", "smoke": "SMOKE RUN, NO
 TITLE = "Deep Q-Networks learn to box"
 SUBTITLE = "A reproducible study of DQN, Double DQN and Dueling Double DQN on two Atari games"
 TEMPLATES = Path(__file__).parent / "templates"
+STARTS = 3  # of a notebook's kernel, whose ports another's may take before it does
 
 
 def build(profile: str, results: Path | None = None) -> Path:
@@ -113,21 +114,28 @@ def _execute_one(notebook: Path, target: Path, profile: str, results: Path) -> N
     os.environ["OMP_NUM_THREADS"] = "1"  # of the notebook's process: another has the other core
     partial = target / f".{notebook.name}"
     (target / notebook.name).unlink(missing_ok=True)
-    try:
-        papermill.execute_notebook(
-            notebook,
-            partial,
-            {"profile": profile, "results_dir": str(results.resolve())},
-            cwd=str(notebook.parent),
-            kernel_name="python3",
-            progress_bar=False,
-            request_save_on_cell_execute=False,
-            extra_arguments=["--log-level=ERROR"],
-        )
-    except papermill.PapermillExecutionError as error:
-        partial.unlink(missing_ok=True)
-        where = f"section {notebook.name}, cell {error.cell_index}"
-        raise RunError(f"{where}: {error.ename}: {error.evalue}") from None
+    for start in range(STARTS):
+        try:
+            papermill.execute_notebook(
+                notebook,
+                partial,
+                {"profile": profile, "results_dir": str(results.resolve())},
+                cwd=str(notebook.parent),
+                kernel_name="python3",
+                progress_bar=False,
+                request_save_on_cell_execute=False,
+                extra_arguments=["--log-level=ERROR"],
+            )
+        except papermill.PapermillExecutionError as error:
+            partial.unlink(missing_ok=True)
+            where = f"section {notebook.name}, cell {error.cell_index}"
+            raise RunError(f"{where}: {error.ename}: {error.evalue}") from None
+        except RuntimeError as error:
+            partial.unlink(missing_ok=True)
+            if "before replying" not in str(error) or start == STARTS - 1:
+                raise RunError(f"section {notebook.name}: {error}") from None
+        else:
+            break
     partial.replace(target / notebook.name)
 
 
