@@ -68,7 +68,7 @@ def test_evaluations_under_other_conditions_are_columns_and_never_mixed(tmp_path
     (row,) = tables["tbl-boxing-final-evaluation"].to_dict("records")
     assert (row["games"], row["mean score"], row["training games"]) == (3, 91.0, 3000)
     earlier = table.assign(trained_games=500, score=-50.0)
-    guessed = table[table.difficulty == 0].assign(epsilon=1.0, score=0.5)
+    guessed = table[table.difficulty == 0].assign(epsilon=1.0, score=0.5, trained_games=500)
     pd.concat([earlier, table, guessed]).to_csv(run.folder / "evaluations.csv", index=False)
     results.show_evaluations(Section("boxing_final", "full", str(tmp_path)))
     shown = tables["tbl-boxing-final-evaluation"].set_index("agent")["mean score"]

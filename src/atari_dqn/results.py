@@ -101,7 +101,7 @@ def show_evaluations(section: Section) -> None:
         _evaluated(section, str(agent), int(seed), games)
         for (agent, seed), games in section.evaluations.groupby(["agent", "seed"], sort=False)
     ]
-    guessed = section.all_evaluations[section.all_evaluations.epsilon == 1.0]
+    guessed = section.random_play
     if not guessed.empty:
         rows.append({"agent": "random play", "games": len(guessed), **_summary(section, guessed)})
     show_table(

@@ -147,6 +147,12 @@ class Section:
         table = table.assign(conceded_a_minute=table.conceded / minutes)
         return table.assign(scored_a_minute=table.scored / minutes)[table.trained_games == newest]
 
+    @cached_property
+    def random_play(self) -> pd.DataFrame:
+        """A row an evaluation game of random moves only, whichever model stood by."""
+        table = runs.read_table(self.usable, "evaluations.csv")
+        return table if table.empty else table[table.epsilon == 1.0]
+
     @property
     def final_evaluations(self) -> pd.DataFrame:
         """Those of `all_evaluations` that are of finished runs."""
