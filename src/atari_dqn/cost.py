@@ -52,15 +52,17 @@ def show_throughput() -> None:
         data=f"{FOLDER}/throughput.csv",
     )
     ours = ours.loc["dqn"]
+    peer = best[(best.library != OURS) & (best.agent == "dqn")].iloc[0]
     show_text(
         f"With DQN this project makes {ours.steps_per_second:.0f} agent steps a second, "
-        f"{ours.ratio_to_best_peer:.2f} times {best[best.library != OURS].iloc[0].library}, the "
+        f"{ours.ratio_to_best_peer:.2f} times {peer.library}, the "
         "faster of two well-known libraries, in its best set-up. (The benchmark updates every 4 "
         "agent steps, as is usual; the runs of this study every 8.) That is "
         f"{ours.share_of_roofline:.0%} of the machine's *roofline*, the speed it would have if it "
         "did nothing but the necessary arithmetic at its processor's highest speed "
         f"({machine['float32_gflops_a_core']:.0f} billion operations a second and core) and the "
-        "emulation."
+        "emulation; and that speed, which no program that does the same arithmetic can pass, would be "
+        f"{1 / peer.share_of_roofline:.2f} times {peer.library}."
     )
 
 
