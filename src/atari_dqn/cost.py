@@ -61,8 +61,8 @@ def show_throughput() -> None:
         f"{ours.share_of_roofline:.0%} of the machine's *roofline*, the speed it would have if it "
         "did nothing but the necessary arithmetic at its processor's highest speed "
         f"({machine['float32_gflops_a_core']:.0f} billion operations a second and core) and the "
-        "emulation; and that speed, which no program that does the same arithmetic can pass, would be "
-        f"{1 / peer.share_of_roofline:.2f} times {peer.library}."
+        "emulation; and that speed, which no program that does the same arithmetic can pass, "
+        f"would be {1 / peer.share_of_roofline:.2f} times {peer.library}."
     )
 
 
