@@ -112,16 +112,47 @@ def test_the_parts_of_a_claim_are_weighed_together():
 
 def test_a_curve_that_swings_is_told_from_one_that_rises(tmp_path):
     rising = np.linspace(0, 80, 3000)
-    store(tmp_path, "boxing_final", "dqn", rising)
-    store(tmp_path, "boxing_early", "dqn", 2 + 1.5 * np.sin(np.arange(1400) / 40))
+    store(tmp_path, "boxing_final", "dqn", rising + scores(0.0, seed=1))
+    swinging = 2 + 8 * np.sin(np.arange(1400) / 40)
+    store(tmp_path, "boxing_early", "dqn", swinging + scores(0.0, games=1400))
     claim = "With them, the learning curve oscillates more"
     assert verdict(tmp_path, claim).verdict == verdicts.SUPPORTED
-    store(tmp_path, "boxing_early", "dqn", rising[:1400])
-    assert verdict(tmp_path, claim).verdict == verdicts.INCONCLUSIVE
     store(tmp_path, "boxing_early", "dqn", scores(0.0, games=1400))
-    flat = verdict(tmp_path, claim)
-    assert flat.verdict == verdicts.INCONCLUSIVE, "it does not learn at all"
-    assert "too flat to tell" in flat.evidence
+    assert verdict(tmp_path, claim).verdict == verdicts.INCONCLUSIVE, "it does not learn at all"
+
+
+def test_a_curve_that_rises_less_does_not_oscillate_more(tmp_path):
+    claim = "With them, the learning curve oscillates more"
+    found = []
+    for seed in range(20):
+        luck = np.random.default_rng(seed).normal(0, 15, (2, 3000))
+        store(tmp_path, "boxing_final", "dqn", np.linspace(0, 80, 3000) + luck[0])
+        store(tmp_path, "boxing_early", "dqn", np.linspace(0, 12, 1400) + luck[1, :1400])
+        found.append(verdict(tmp_path, claim).verdict)
+    assert found.count(verdicts.INCONCLUSIVE) >= 17
+
+
+def check(run, scores):
+    """Gives a run its greedy scores after every hundred games."""
+    games = 100 * np.arange(1, len(scores) + 1)
+    table = pd.DataFrame({"episode": games, "score": scores, "predicted": 1.0, "realised": 1.0})
+    table.to_csv(run.folder / "values.csv", index=False)
+
+
+def test_what_is_learned_along_the_way_is_compared_after_the_same_games(tmp_path):
+    claim = (
+        "The early Boxing settings (rate 1e-3, batch 64, floor 0.1) learn less than the final ones"
+    )
+    final = store(tmp_path, "boxing_final", "dqn", scores(0.0))
+    check(final, np.concatenate([np.full(14, 30.0), np.full(16, -90.0)]))
+    early = store(tmp_path, "boxing_early", "dqn", scores(90.0, games=1400))
+    assert verdict(tmp_path, claim).verdict == verdicts.NOT_YET
+    check(early, 10.0 + np.arange(14) % 3)
+    found = verdict(tmp_path, claim)
+    assert found.verdict == verdicts.SUPPORTED, "whatever it scores while it explores"
+    assert "DQN: `boxing_final` 30.0 against `boxing_early` 10.9" in found.evidence
+    check(early, 40.0 + np.arange(14) % 3)
+    assert verdict(tmp_path, claim).verdict == verdicts.CONTRADICTED
 
 
 def test_only_dqn_is_human_in_breakout_falls_with_a_better_double_dqn(tmp_path):
@@ -172,6 +203,26 @@ def test_greedy_games_decide_where_two_set_ups_explore_differently(tmp_path):
     assert verdict(tmp_path, claim).verdict == verdicts.CONTRADICTED
     evaluate(run, trained=300, score=50.0, conceded=30.0)
     assert verdict(tmp_path, claim).verdict == verdicts.NOT_YET, "of an unfinished model"
+
+
+def test_a_greedy_game_that_repeats_others_weighs_in_the_mean_and_is_no_further_evidence(tmp_path):
+    claim = "A discount of 0.995 makes agents shy: they keep a greater distance than with 0.99"
+    once = {}
+    for experiment, mean in (("boxing_final", 20.0), ("boxing_high_gamma", 20.5)):
+        for agent in ("dqn", "double_dqn", "dueling_double_dqn"):
+            run = store(tmp_path, experiment, agent, scores(50.0, games=4000))
+            evaluate(run, score=50.0, distance=mean)
+            once[run.folder / "evaluations.csv"] = pd.read_csv(run.folder / "evaluations.csv")
+    few = {path: table.head(10) for path, table in once.items()}
+    for path, table in few.items():
+        table.to_csv(path, index=False)
+    expected = verdict(tmp_path, claim)
+    for path, table in few.items():
+        repeated = pd.concat([table.assign(game=table.game + 10 * k) for k in range(10)])
+        repeated.to_csv(path, index=False)
+    found = verdict(tmp_path, claim)
+    assert found.verdict == expected.verdict == verdicts.INCONCLUSIVE
+    assert found.evidence.split("difference")[0] == expected.evidence.split("difference")[0]
 
 
 def test_no_gain_from_transfer_is_support_for_its_not_helping(tmp_path):

@@ -40,6 +40,20 @@ def test_welchs_interval_is_antisymmetric_and_a_point_for_constants():
     low, high = statistics.welch_interval(first, second)
     assert statistics.welch_interval(second, first) == pytest.approx((-high, -low))
     assert statistics.welch_interval(np.full(3, 5.0), np.full(4, 2.0)) == (3.0, 3.0)
+    expected = stats.ttest_ind(first, second, equal_var=False).confidence_interval()
+    assert (low, high) == pytest.approx((expected.low, expected.high))
+
+
+def test_values_that_repeat_others_narrow_no_interval():
+    values = np.random.default_rng(0).normal(size=1000)
+    few = statistics.student_interval(np.tile(values[:10], 100), distinct=10)
+    assert few == pytest.approx(statistics.student_interval(values[:10]), rel=0.1)
+    both = statistics.welch_interval(np.tile(values[:10], 100), values, (10, 1000))
+    assert both == pytest.approx(statistics.welch_interval(values[:10], values), rel=0.1)
+
+
+def test_too_few_values_make_no_interval():
+    first, second = np.arange(4.0), np.arange(3.0)
     with pytest.raises(ValueError, match="two values"):
         statistics.welch_interval(first, second[:1])
 

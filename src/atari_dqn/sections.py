@@ -149,9 +149,14 @@ class Section:
 
     @cached_property
     def random_play(self) -> pd.DataFrame:
-        """A row an evaluation game of random moves only, whichever model stood by."""
+        """A row an evaluation game of random moves only, at the experiment's difficulty and
+        stickiness; the same game counts once, whichever models stood by."""
         table = runs.read_table(self.usable, "evaluations.csv")
-        return table if table.empty else table[table.epsilon == 1.0]
+        if table.empty:
+            return table
+        p = self.params
+        alike = (table.difficulty == p.difficulty) & (table.sticky_actions == p.sticky_actions)
+        return table[alike & (table.epsilon == 1.0)].drop_duplicates(["seed", "game"])
 
     @property
     def final_evaluations(self) -> pd.DataFrame:

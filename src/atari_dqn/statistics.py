@@ -52,11 +52,15 @@ def with_interval(values: np.ndarray) -> str:
     return f"{mean} ({low:.1f} to {high:.1f})"
 
 
-def student_interval(values: np.ndarray) -> tuple[float, float]:
-    """95% interval of the mean of independent values (Student's t); two values at the least."""
+def student_interval(values: np.ndarray, distinct: int | None = None) -> tuple[float, float]:
+    """95% interval of the mean (Student's t); two values at the least.
+
+    `distinct` is how many of the values count, if some repeat others; by default all.
+    """
     if len(values) < 2:
         raise ValueError("an interval needs at least two values")
-    half = stats.t.ppf(0.975, len(values) - 1) * np.std(values, ddof=1) / np.sqrt(len(values))
+    number = distinct or len(values)
+    half = np.std(values, ddof=1) / np.sqrt(number) * stats.t.ppf(0.975, max(number - 1, 1))
     return float(np.mean(values) - half), float(np.mean(values) + half)
 
 
@@ -85,18 +89,24 @@ def series_interval(values: np.ndarray) -> tuple[float, float]:
     return float(values.mean()) - half, float(values.mean()) + half
 
 
-def welch_interval(first: np.ndarray, second: np.ndarray) -> tuple[float, float]:
+def welch_interval(
+    first: np.ndarray, second: np.ndarray, distinct: tuple[int, int] | None = None
+) -> tuple[float, float]:
     """95% interval of the difference of two independent means (Welch's t).
 
+    `distinct` is how many values of each side count, if some repeat others; by default all.
     Raises ValueError if either has fewer than two values.
     """
     if min(len(first), len(second)) < 2:
         raise ValueError("a difference needs at least two values on each side")
     gap = float(np.mean(first) - np.mean(second))
-    if np.ptp(first) == np.ptp(second) == 0:
+    numbers = np.array(distinct or (len(first), len(second)))
+    errors = np.array([np.var(first, ddof=1), np.var(second, ddof=1)]) / numbers  # squared
+    if not errors.any():
         return gap, gap
-    found = stats.ttest_ind(first, second, equal_var=False).confidence_interval()
-    return float(found.low), float(found.high)
+    freedom = errors.sum() ** 2 / (errors**2 / np.maximum(numbers - 1, 1)).sum()
+    half = float(stats.t.ppf(0.975, freedom) * np.sqrt(errors.sum()))
+    return gap - half, gap + half
 
 
 def scores_at_marks(episodes: pd.DataFrame, marks: tuple[int, ...], window: int) -> pd.DataFrame:

@@ -17,17 +17,17 @@ def headline(study: Study) -> str:
     section = study["boxing_final"]
     judged = findings(study).verdict.value_counts()
     done = judged.drop(NOT_YET, errors="ignore")
-    played = sum(len(each.episodes) for each in study.sections.values())
-    planned = sum(len(each.runs) * each.params.episodes for each in study.sections.values())
-    best, games, score = _best(section)
+    games, means = _recent(section)
     if games < min(EARLY, section.params.episodes):
+        played, planned = _played(study)
         text = f"Training has only begun: {played:,} of {planned:,} planned games are played."
     else:
-        level = "above" if score > section.facts.human else "below"
+        level = "above" if means.iloc[0] > section.facts.human else "below"
         text = (
-            f"After {games:,} games of Boxing the best agent so far, {best}, scores {score:.1f} "
-            f"points a game while still exploring, {level} the human reference of "
-            f"{section.facts.human:g} (random play: {section.facts.random:g})."
+            f"After {games:,} games of Boxing the agent with the most points so far, "
+            f"{means.index[0]}, scores {means.iloc[0]:.1f} a game while still exploring, {level} "
+            f"the human reference of {section.facts.human:g} (random play: "
+            f"{section.facts.random:g})."
         )
     claims = f"{judged.sum()} claims of the source report that runs can judge"
     if done.empty:
@@ -36,35 +36,45 @@ def headline(study: Study) -> str:
     return f"**{text}** Of {claims}, {done.sum()} are judged so far ({counted})."
 
 
-def _best(section: Section) -> tuple[str, int, float]:
-    """The agent that scored best of late, of those that have begun: its name, the games that all of
-    them have played, and its mean score over the last `RECENT` of these; 0 games if too few."""
+def _recent(section: Section) -> tuple[int, pd.Series]:
+    """How many games all agents that have begun have played, and each one's mean score over the
+    last `RECENT` of these, the best first; 0 games and no scores if too few are played."""
     episodes = section.episodes
     if episodes.empty:
-        return "", 0, 0.0
+        return 0, pd.Series(dtype=float)
     games = int(episodes.groupby(["agent", "seed"]).episode.max().min())
     if games < min(RECENT, section.params.episodes):
-        return "", 0, 0.0
+        return 0, pd.Series(dtype=float)
     recent = episodes[episodes.episode.between(games - RECENT + 1, games)]
-    means = recent.groupby("agent").score.mean()
-    return runs.title(str(means.idxmax())), games, float(means.max())
+    means = recent.groupby("agent").score.mean().sort_values(ascending=False)
+    return games, means.rename(index=runs.title)
+
+
+def _played(study: Study) -> tuple[int, int]:
+    """Training games of all experiments: stored, and planned."""
+    sections = study.sections.values()
+    planned = sum(len(each.runs) * each.params.episodes for each in sections)
+    return sum(len(each.episodes) for each in sections), planned
 
 
 def conclusion(study: Study) -> str:
-    """A sentence a game on which agent is ahead, and a list of the claims that are judged."""
+    """A sentence a game on how the agents compare, and a list of the claims that are judged."""
     said = []
     for name in ("boxing_final", "breakout_final"):
         section = study[name]
-        best, games, score = _best(section)
-        if games >= min(EARLY, section.params.episodes):
-            level = "above" if score > section.facts.human else "below"
-            said.append(
-                f"In {section.facts.title} {best} is ahead after {games:,} games, with {score:.1f} "
-                f"points a game over its last {RECENT}, {level} the human {section.facts.human:g}."
-            )
+        games, means = _recent(section)
+        if games < min(EARLY, section.params.episodes):
+            continue
+        scores = ", ".join(f"{agent} {mean:.1f}" for agent, mean in means.items())
+        text = f"In {section.facts.title}, mean scores over the last {min(RECENT, games)} of {games:,} games "
+        text += f"are {scores} (human {section.facts.human:g})."
+        missing = [runs.title(agent) for agent in section.params.agents]
+        missing = [agent for agent in missing if agent not in means]
+        if missing:
+            text += f" {' and '.join(missing)} {'has' if len(missing) == 1 else 'have'} not begun."
+        said.append(text)
     if not said:
-        played = sum(len(each.episodes) for each in study.sections.values())
-        planned = sum(len(each.runs) * each.params.episodes for each in study.sections.values())
+        played, planned = _played(study)
         said.append(
             f"With {played / planned:.1%} of the planned games played, no agent can be called the "
             "better one yet. What stands already does not depend on them: what the literature "
@@ -80,16 +90,17 @@ def conclusion(study: Study) -> str:
 def cards(study: Study) -> str:
     """Four numbers, as a division of class `card`."""
     section = study["boxing_final"]
-    games = sum(len(each.episodes) for each in study.sections.values())
     judged = findings(study).verdict
-    best, played, score = _best(section)
-    window = min(RECENT, played)
+    games, means = _recent(section)
     numbers = [
-        (f"{score:.1f}", f"points in Boxing: {best}, mean of {window} training games")
-        if played
+        (
+            f"{means.iloc[0]:.1f}",
+            f"points in Boxing: {means.index[0]}, mean of {min(RECENT, games)} training games",
+        )
+        if games
         else ("–", f"points in Boxing: not all agents begun have played {RECENT} games"),
         (f"{section.facts.human:g}", "points: a human tester's mean"),
-        (f"{games:,}", "training games stored"),
+        (f"{_played(study)[0]:,}", "training games stored"),
         (f"{(judged != NOT_YET).sum()} of {len(judged)}", "claims of the source report judged"),
     ]
     cells = "\n".join(f"::: {{}}\n**{number}** {what}\n:::" for number, what in numbers)

@@ -7,7 +7,8 @@ whole interval lies on the claim's side of zero, `contradicted` if it lies on th
 The interval is over seeds (Welch's t) where both sides have three or more. With fewer it is over
 blocks of 50 training games, of which those of two runs that hold the same games are paired: it
 then says how steady the difference is within these runs, and nothing about other seeds. Greedy
-games of finished runs are compared likewise, or game by game (Welch's t).
+games of finished runs are compared likewise, or game by game (Welch's t); of games that repeat one
+another, which few openings and hardly any chance bring about, only one counts as evidence.
 """
 
 from dataclasses import dataclass
@@ -16,7 +17,6 @@ import numpy as np
 import pandas as pd
 
 from atari_dqn import runs
-from atari_dqn.agents import AGENTS
 from atari_dqn.sections import Section, Study
 from atari_dqn.statistics import (
     BLOCK,
@@ -28,9 +28,8 @@ from atari_dqn.statistics import (
 
 SUPPORTED, CONTRADICTED = "supported", "contradicted"
 INCONCLUSIVE, NOT_YET = "inconclusive", "open"
-DQN, DOUBLE, DUELING = AGENTS
+DQN, DOUBLE, DUELING = "dqn", "double_dqn", "dueling_double_dqn"
 SEEDS = 3  # from which an interval is over seeds
-FLAT = 6  # times a block's own noise; a curve of less range shows nothing but noise
 
 
 @dataclass(frozen=True)
@@ -189,25 +188,23 @@ def _shared(pair: tuple[Section, Section]) -> list[str]:
 
 def greedy(study: Study, first: str, second: str, column: str = "score") -> list[Verdict]:
     """That an agent's greedy games after training in the first experiment have more of something
-    than those after training in the second: a verdict for every agent.
-
-    Few openings and hardly any chance: of games that repeat one another, one counts.
-    """
+    than those after training in the second: a verdict for every agent."""
     pair = (study[first], study[second])
     verdicts = []
     for agent in _shared(pair):
-        games = [_distinct_games(section, agent, column) for section in pair]
+        games = [_greedy_games(section, agent) for section in pair]
         if any(
-            len(found) < len(section.params.seeds) or min(map(len, found.values())) < 2
+            len(found) < 2 or found.seed.nunique() < len(section.params.seeds)
             for section, found in zip(pair, games, strict=True)
         ):
             verdicts.append(_not_yet(*pair))
             continue
-        if min(map(len, games)) >= SEEDS:
-            sides = [np.array([own.mean() for own in found.values()]) for found in games]
+        if min(found.seed.nunique() for found in games) >= SEEDS:
+            sides = [found.groupby("seed")[column].mean().to_numpy() for found in games]
+            low, high = welch_interval(*sides)
         else:
-            sides = [np.concatenate(list(found.values())) for found in games]
-        low, high = welch_interval(*sides)
+            sides = [found[column].to_numpy(float) for found in games]
+            low, high = welch_interval(*sides, (_distinct(games[0]), _distinct(games[1])))
         means = _against(pair, (agent, agent), [side.mean() for side in sides])
         name = column.replace("_", " ")
         said = f"{name}, greedy: {means}, difference {low:.1f} to {high:.1f}"
@@ -215,13 +212,44 @@ def greedy(study: Study, first: str, second: str, column: str = "score") -> list
     return verdicts or [_ALONE]
 
 
-def _distinct_games(section: Section, agent: str, column: str) -> dict[int, np.ndarray]:
-    """{seed: what the agent's evaluation games have of something}, of finished runs."""
+def _greedy_games(section: Section, agent: str) -> pd.DataFrame:
+    """The evaluation games of the agent's finished runs, played as it was trained."""
     table = section.as_trained(section.final_evaluations)
-    if table.empty:
-        return {}
-    own = table[table.agent == agent].drop_duplicates(["seed", "score", "length", "distance"])
-    return {int(seed): games[column].to_numpy(float) for seed, games in own.groupby("seed")}
+    return table if table.empty else table[table.agent == agent]
+
+
+def _distinct(games: pd.DataFrame) -> int:
+    """How many of some evaluation games do not repeat another."""
+    return len(games.drop_duplicates(["seed", "score", "length", "distance"]))
+
+
+def learning(study: Study, first: str, second: str) -> list[Verdict]:
+    """That an agent learns more in the first experiment than in the second: what it scores greedily
+    every hundred games, for as long as the shorter one trains, after the same games of training."""
+    pair = (study[first], study[second])
+    until = min(section.params.episodes for section in pair)
+    verdicts = []
+    for agent in _shared(pair):
+        one, other = (_checks(section, agent, until) for section in pair)
+        gaps = (one - other).dropna()
+        if len(gaps) < 3:
+            verdicts.append(_not_yet(*pair))
+            continue
+        low, high = series_interval(gaps.to_numpy())
+        means = _against(pair, (agent, agent), [one.mean(), other.mean()])
+        said = f"greedy games along the way: {means}, difference {low:.1f} to {high:.1f}"
+        verdicts.append(Verdict(_side(low, high), said))
+    return verdicts or [_ALONE]
+
+
+def _checks(section: Section, agent: str, until: int) -> pd.Series:
+    """Greedy scores along an agent's training, by games of it; empty until all seeds have played
+    that many."""
+    played = section.scores(agent, until, until)
+    if section.values.empty or len(played) < len(section.params.seeds):
+        return pd.Series(dtype=float)
+    own = section.values[(section.values.agent == agent) & (section.values.episode <= until)]
+    return own.groupby("episode").score.mean()
 
 
 def overestimation(study: Study, experiment: str) -> Verdict:
@@ -247,27 +275,27 @@ def overestimation(study: Study, experiment: str) -> Verdict:
 
 def steadier(study: Study, steady: str, unsteady: str, agent: str) -> Verdict:
     """An agent's curve is smoother in the first experiment than in the second, over the games of
-    the second: how far each block of games is from the middle of its neighbours, as a share of the
-    curve's whole range."""
+    the second: how far each block of games is from the middle of its neighbours (points, squared),
+    less what the luck of its games explains."""
     rough = []
     for name in (steady, unsteady):
         scores = study[name].scores(agent, 1, study[unsteady].params.episodes)
         if not _enough(study[name], scores) or scores.shape[1] < 5 * BLOCK:
             return _not_yet(study[steady], study[unsteady])
-        means = blocks(scores.mean(axis=0))
-        noise = float(scores.mean(axis=0).std()) / np.sqrt(BLOCK)  # of a block's mean, at most
-        if np.ptp(means) < FLAT * noise:
-            return Verdict(INCONCLUSIVE, f"the curve of `{name}` is too flat to tell")
-        bends = np.abs(means[1:-1] - (means[:-2] + means[2:]) / 2)
-        rough.append(100 * bends / np.ptp(means))
+        curve = scores.mean(axis=0)
+        means = blocks(curve)
+        whole = curve[len(curve) % BLOCK :].reshape(-1, BLOCK)
+        luck = whole.var(axis=1, ddof=1).mean() / BLOCK  # of a block's mean, points squared
+        bends = means[1:-1] - (means[:-2] + means[2:]) / 2
+        rough.append(bends**2 - 1.5 * luck)
     low, high = series_interval(rough[1] - rough[0])
     said = " against ".join(
-        f"`{name}` {found.mean():.1f}%"
+        f"`{name}` {np.sqrt(max(found.mean(), 0)):.1f}"
         for name, found in zip((steady, unsteady), rough, strict=True)
     )
     return Verdict(
         _side(low, high),
-        f"roughness in the curve's range: {said}, difference {low:.1f} to {high:.1f}",
+        f"roughness, points: {said}; difference of their squares {low:.1f} to {high:.1f}",
     )
 
 
@@ -287,7 +315,11 @@ def beaten_everywhere(study: Study) -> Verdict:
         )
     parts = []
     for difficulty, found in games.groupby("difficulty"):
-        low, high = student_interval(found.score.to_numpy())
+        by_seed = found.groupby("seed").score.mean().to_numpy()
+        if len(by_seed) >= SEEDS:
+            low, high = student_interval(by_seed)
+        else:
+            low, high = student_interval(found.score.to_numpy(), _distinct(found))
         said = f"difficulty {difficulty}: {found.score.mean():.1f} ({low:.1f} to {high:.1f}), "
         said += f"{(found.knockout == 1).mean():.0%} by knock-out"
         parts.append(Verdict(_side(low, high), said))
