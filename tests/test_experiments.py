@@ -12,11 +12,13 @@ from contextlib import suppress
 
 import pandas as pd
 import pytest
+from distributed import LocalCluster
 from filelock import FileLock, Timeout
 
 from atari_dqn import checkpoints, cluster, experiments, params, recording
 from atari_dqn.params import ParameterError
 from atari_dqn.runs import Run, RunError
+from atari_dqn.training import Trainer
 
 
 @pytest.fixture
@@ -45,6 +47,20 @@ def test_status_tells_what_is_done_what_waits_and_how_long_it_will_take(tmp_path
     assert table.hours_left[1] == pytest.approx(3 * pace / 3600), "of another run of the game"
     assert pd.isna(table.hours_left[2]), "no other run of Breakout"
     assert experiments.summary(table).startswith("3 runs: 2 missing, 1 complete; 3 of 7 games")
+
+
+def test_status_tells_why_a_run_does_not_go_on(tmp_path, small, monkeypatch):
+    run = Run(small(episodes=1), tmp_path)
+    with monkeypatch.context() as broken:
+        broken.setattr(Trainer, "_learn", lambda self: 1 / 0)
+        with pytest.raises(ZeroDivisionError):
+            recording.train(run)
+    assert states([run]) == ["failed (ZeroDivisionError: division by zero)"]
+    recording.train(run)
+    shutil.rmtree(run.state_folder)
+    longer = [Run(small(episodes=2), tmp_path)]
+    assert states(longer) == ["interrupted (no checkpoint here: --anew)"]
+    assert "1 interrupted;" in experiments.summary(experiments.status(longer))
 
 
 def test_variations_are_runs_of_their_own_with_their_labels(tmp_path, small):
@@ -258,6 +274,26 @@ def test_cluster_runs_survive_ctrl_c_and_lost_workers(project, dask, small, monk
     recording.train(here)
     for name in ("episodes.csv", "evaluations.csv", "model.safetensors"):
         assert (wanted[0].folder / name).read_bytes() == (here.folder / name).read_bytes()
+
+
+def test_a_cluster_loses_nothing_that_is_stored(tmp_path, small):
+    run, longer = Run(small(episodes=1), tmp_path), Run(small(episodes=2), tmp_path)
+    recording.train(run)
+    before = (run.folder / "episodes.csv").read_bytes()
+    state = run.state_folder.rename(tmp_path / "elsewhere")
+    with LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None
+    ) as here:
+        (line,) = cluster.train_all([longer], here.scheduler_address)
+        assert "holds 1 games, but their checkpoint is not in" in line
+        assert (run.folder / "episodes.csv").read_bytes() == before
+        shutil.rmtree(run.state_folder)
+        state.rename(run.state_folder)  # which the worker shares
+        assert cluster.train_all([longer], here.scheduler_address) == []
+    assert longer.state() == "complete"
+    assert (run.folder / "episodes.csv").read_bytes().startswith(before)
+    evaluated = pd.read_csv(run.folder / "evaluations.csv")
+    assert set(evaluated.trained_games) == {1, 2}, "those of the earlier model are kept"
 
 
 def test_a_scheduler_that_does_not_answer_is_a_clear_error(tmp_path, small, monkeypatch):

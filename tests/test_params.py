@@ -115,6 +115,31 @@ def test_overrides_move_an_experiment_to_a_name_of_its_own(tmp_path):
     assert longer.experiment == longest.experiment != "mine"
 
 
+def test_variations_of_a_changed_experiment_are_not_those_of_its_file(tmp_path):
+    path = write(tmp_path, "variations:\n  slow: {learning_rate: 1e-5}\n  fast: {gamma: 0.5}")
+
+    def names(overrides):
+        return {each.experiment for each in params.variants(params.load(path, overrides)).values()}
+
+    own = names({})
+    assert own == {
+        params.load(path, {k: v}).experiment for k, v in (("learning_rate", 1e-5), ("gamma", 0.5))
+    }
+    for overrides in ({"episodes": 10}, {"evaluation_stickiness": [0.25]}, {"batch_size": 8}):
+        changed = names(overrides)
+        assert len(changed) == 2
+        assert not changed & own, overrides
+
+
+def test_a_stored_runs_parameters_describe_that_very_run(tmp_path):
+    for text in ("gamma: 0.9", "variations:\n  fast: {gamma: 0.5}"):
+        base = params.pick(params.load(write(tmp_path, text), {"noop_max": 3}), "dqn", 4)
+        (run,) = params.variants(base).values()
+        params.dump(run, tmp_path / "params.yaml")
+        (again,) = params.variants(params.load(tmp_path / "params.yaml")).values()
+        assert again == run
+
+
 def test_values_injected_into_a_notebook_are_overrides_of_the_file_they_name(tmp_path):
     write(tmp_path, "gamma: 0.9\nlearning_rate: 1e-3")
     values = {"experiment": "mine", "learning_rate": "1e-3"}
@@ -163,7 +188,8 @@ def test_variations_are_what_the_same_overrides_would_give(tmp_path):
     text = "variations: {slow: {learning_rate: 1.0e-5}, same: {gamma: 0.99}}"
     path = write(tmp_path, text)
     variants = params.variants(params.load(path))
-    assert variants["slow"] == params.load(path, {"learning_rate": 1e-5})
+    alone = {"learning_rate": 1e-5, "variations": {}}
+    assert variants["slow"] == params.load(path, alone)
     assert variants["slow"].experiment.startswith("mine+")
     assert variants["same"].experiment == "mine"
     assert list(params.variants(Parameters(experiment="plain"))) == ["plain"]

@@ -267,6 +267,21 @@ def test_anew_keeps_what_cannot_be_continued_and_moves_nothing_else(tmp_path, sm
     assert Run(small(gamma=0.5), tmp_path).set_aside().name == "seed-1.aside-2", "stale"
 
 
+def test_anew_begins_again_though_a_checkpoint_of_the_same_settings_is_left(tmp_path, small):
+    first, other = Run(small(episodes=1), tmp_path), Run(small(episodes=1, gamma=0.5), tmp_path)
+    recording.train(first)
+    other.set_aside()
+    recording.train(other)
+    with pytest.raises(RunError, match="--anew"):
+        recording.train(first)
+    assert first.set_aside().name == "seed-1.aside-2"
+    recording.train(first)
+    assert first.state() == "complete"
+    assert json.loads((first.folder / "provenance.json").read_text())["resumes"] == 0
+    kept = first.state_folder.with_name(f"{first.state_folder.name}.aside-1")
+    assert checkpoints.exist(kept)
+
+
 def test_a_run_whose_folder_was_lost_comes_back_whole_from_its_checkpoint(tmp_path, small):
     run = Run(small(episodes=2, snapshot_games=[1]), tmp_path)
     recording.train(run)

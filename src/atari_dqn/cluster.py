@@ -54,9 +54,8 @@ def _train_all(client: Client, pending: list[Run]) -> list[str]:
                 except RunError as error:
                     failures.append(str(error))
                     continue
-                values = run.params.model_dump()
-                source = _source(run)
-                future = client.submit(_train, values, source, TRAINING_VERSION, key=_key(run))
+                values, files = run.params.model_dump(), _files(run)
+                future = client.submit(_train, values, files, TRAINING_VERSION, key=_key(run))
                 active[future] = run, stack.pop_all()
                 finished.add(future)
 
@@ -81,10 +80,12 @@ def _key(run: Run) -> str:
     return f"{run.name}-{hashlib.sha256(values.encode()).hexdigest()[:12]}"
 
 
-def _source(run: Run) -> dict[str, bytes]:
-    """The files of the run that this one starts from, if any."""
+def _files(run: Run) -> dict[str, bytes]:
+    """What is stored of a run and of the one that it starts from, if any: a worker that cannot
+    continue it must know, and what it sends back replaces what is here."""
     source = run.source()
-    return {} if source is None else _read(source.folder, run.results)
+    begun = {} if source is None else _read(source.folder, run.results)
+    return begun | _read(run.folder, run.results)
 
 
 def _read(folder: Path, root: Path) -> dict[str, bytes]:
@@ -104,7 +105,7 @@ def _outcome(run: Run, future: Future) -> list[str]:
         return [str(error) if isinstance(error, RunError) else f"{run.name}: {error!r}"]
     try:
         _store(run, future.result())
-    except OSError as error:
+    except (OSError, RunError) as error:
         return [f"{run.name} is complete, but cannot be stored: {error}"]
     tqdm.write(f"{run.name} is complete")
     return []
@@ -118,7 +119,7 @@ def _store(run: Run, files: dict[str, bytes]) -> None:
         runs.write_atomically(path, files[name])
 
 
-def _train(values: dict[str, Any], source: dict[str, bytes], version: int) -> dict[str, bytes]:
+def _train(values: dict[str, Any], files: dict[str, bytes], version: int) -> dict[str, bytes]:
     """What a worker does with a run; returns the finished run's files."""
     worker = get_worker()
     if worker.state.nthreads > 1:
@@ -129,7 +130,7 @@ def _train(values: dict[str, Any], source: dict[str, bytes], version: int) -> di
         )
     with TemporaryDirectory(dir=worker.local_directory) as folder:
         run = Run(params.parse(values, "cluster"), Path(folder))
-        for name, data in source.items():
+        for name, data in files.items():
             path = run.results / name
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(data)

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from atari_dqn import params, recording, runs
+from atari_dqn import checkpoints, params, recording, runs
 from atari_dqn.params import ParameterError
 from atari_dqn.runs import Run, RunError
 
@@ -80,7 +80,7 @@ def status(wanted: list[Run]) -> pd.DataFrame:
                 "experiment": _title(run),
                 "agent": run.agent,
                 "seed": run.seed,
-                "state": state if source is None else f"{WAITING} for {source.params.experiment}",
+                "state": _said(run, state, source),
                 "games": len(episodes),
                 "episodes": run.params.episodes,
                 "score": recent.score.mean() if len(episodes) else np.nan,
@@ -93,6 +93,17 @@ def status(wanted: list[Run]) -> pd.DataFrame:
     table["hours_left"] = (table.episodes - table.games).clip(lower=0) * pace / 3600
     table.loc[table.state == runs.COMPLETE, "hours_left"] = 0.0
     return table.drop(columns=["game", "pace"])
+
+
+def _said(run: Run, state: str, source: Run | None) -> str:
+    """A run's state, and what stands in its way."""
+    if source is not None:
+        return f"{WAITING} for {source.params.experiment}"
+    if state in (runs.INTERRUPTED, runs.FAILED) and not checkpoints.exist(run.state_folder):
+        return f"{state} (no checkpoint here: --anew)"
+    if state == runs.FAILED:
+        return f"{state} ({run.status().get('error', 'no reason stored')})"
+    return state
 
 
 def _title(run: Run) -> str:

@@ -187,7 +187,7 @@ def _check_variation(params: Parameters, label: str, changes: dict[str, Any]) ->
         raise _key_error("variations", label, _one_line(error)) from None
 
 
-def _digest(values: dict[str, Any]) -> str:
+def _digest(values: Any) -> str:
     return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
 
 
@@ -243,8 +243,12 @@ def _yaml_message(error: Exception) -> str:
     return f"line {mark.line + 1}: {problem}" if mark else problem
 
 
+STORED = "params.yaml"  # of a run: every parameter, resolved
+
+
 def load(path: Path | str, overrides: dict[str, Any] | None = None) -> Parameters:
-    """Parameters from a file, named after it, with `overrides` put on top.
+    """Parameters from a file, named after it, or from a stored run's params.yaml, with `overrides`
+    put on top.
 
     A file in a folder `quick` or `smoke` says how it differs from the file of the same name in
     the folder above. An override that changes anything but which agents and seeds are run moves
@@ -257,7 +261,7 @@ def load(path: Path | str, overrides: dict[str, Any] | None = None) -> Parameter
     if path.parent.name in PROFILES and full.exists():
         values = {**read_values(full), **values}
     named = values.setdefault("experiment", path.stem)
-    if named != path.stem:
+    if named != path.stem and path.name != STORED:
         raise ParameterError(
             f"{path}: experiment: {named!r} is not allowed: must be the file's name, {path.stem!r}"
         )
@@ -273,7 +277,7 @@ def variants(params: Parameters) -> dict[str, Parameters]:
     """
     if not params.variations:
         return {params.experiment: params}
-    values = params.model_dump()
+    values = {**params.model_dump(), "variations": {}}
     return {
         label: _renamed(params, parse({**values, **changes}, f"variation {label!r}"))
         for label, changes in params.variations.items()
@@ -285,9 +289,10 @@ def _renamed(base: Parameters, changed: Parameters) -> Parameters:
     picks = {"agents", "seeds", "device", "variations"}
     if changed.model_dump(exclude=picks) == base.model_dump(exclude=picks):
         return changed
-    return changed.model_copy(
-        update={"experiment": f"{base.experiment.partition('+')[0]}+{changed.variant()}"}
-    )
+    name, _, renamed = base.experiment.partition("+")
+    # what differs from a changed experiment must not bear the name of what differs from its file
+    variant = _digest([renamed, changed.variant()])[:8] if renamed else changed.variant()
+    return changed.model_copy(update={"experiment": f"{name}+{variant}"})
 
 
 def resolve(values: dict[str, Any], folder: Path) -> Parameters:

@@ -85,7 +85,7 @@ def train(
             recorder.write_status(INTERRUPTED)
             raise
         except Exception as error:
-            with suppress(OSError):  # a full disk must not hide the error itself
+            with suppress(RunError):  # a full disk must not hide the error itself
                 recorder.write_status(FAILED, error=f"{type(error).__name__}: {error}")
             raise
         finally:
@@ -155,7 +155,7 @@ class Recorder:
         self.clock = time.monotonic()
         self.saved_at = self.shown_at = self.seconds
         self.shown_steps = self.trainer.agent_steps
-        self.sessions.append(_session(self.episodes + 1))
+        self.sessions.append(_session(self.episodes + 1, str(self.trainer.learner.device)))
         if initial is not None:
             model = (run.source().folder / "model.safetensors").read_bytes()
             self.sessions[-1]["initial_weights"] = hashlib.sha256(model).hexdigest()
@@ -178,8 +178,8 @@ class Recorder:
     def _compare_sessions(self) -> None:
         """Warns if this machine is not the one that the run began on."""
         first, now = self.sessions[0], self.sessions[-1]
-        for key in ("processor", "versions", "threads"):
-            if first[key] != now[key]:
+        for key in ("processor", "versions", "threads", "device"):
+            if key in first and first[key] != now[key]:
                 warnings.warn(
                     f"{self.run.name} began with {key} {first[key]} and goes on with {now[key]}: "
                     "it will not be bit for bit the uninterrupted run",
@@ -226,8 +226,12 @@ class Recorder:
         write_atomically(self.run.folder / "snapshots" / name, data)
 
     def _append(self, name: str, row: str) -> None:
-        self.files[name].write(row + "\n")
-        self.files[name].flush()
+        try:
+            self.files[name].write(row + "\n")
+            self.files[name].flush()
+        except OSError as error:
+            path = self.run.folder / name
+            raise RunError(f"cannot write {path}: {error.strerror}") from error
 
     def show(self, bar: tqdm, done: bool) -> None:
         """Every few seconds, and at the end: the mean score of the last games, and the speed."""
@@ -309,7 +313,7 @@ class Recorder:
         write_atomically(self.run.folder / "provenance.json", text.encode())
 
 
-def _session(first_episode: int) -> dict[str, Any]:
+def _session(first_episode: int, device: str) -> dict[str, Any]:
     """What this stretch of training runs on."""
     return {
         "first_episode": first_episode,
@@ -320,6 +324,7 @@ def _session(first_episode: int) -> dict[str, Any]:
         "processor": processor(),
         "cores": os.cpu_count(),
         "threads": torch.get_num_threads(),
+        "device": device,
     }
 
 

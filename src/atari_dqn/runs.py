@@ -21,7 +21,7 @@ import hashlib
 import json
 import os
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -185,18 +185,18 @@ class Run:
 
     def set_aside(self) -> Path | None:
         """Moves what is stored of a run that cannot be continued here, because it is stale or has
-        no checkpoint, to a folder beside its own; returns that, None if nothing was moved.
+        no checkpoint, to a folder beside its own, and likewise a stale run's checkpoints; returns
+        the first, None if nothing was moved.
         """
-        if self.state() in (COMPLETE, RUNNING, MISSING) or checkpoints.exist(self.state_folder):
+        state, resumable = self.state(), checkpoints.exist(self.state_folder)
+        if state in (COMPLETE, RUNNING, MISSING) or (resumable and state != STALE):
             return None
         with self.lock():
-            number = 1 + len(list(self.folder.parent.glob(f"{self.folder.name}.aside-*")))
-            aside = self.folder.with_name(f"{self.folder.name}.aside-{number}")
-            aside.mkdir()
-            for path in self.folder.iterdir():
-                if path.name != ".lock":
-                    path.rename(aside / path.name)
-        return aside
+            if self.state() == COMPLETE:
+                return None  # by now
+            if resumable:  # else they would be the new run's, which has the same parameters
+                _move_aside(self.state_folder)
+            return _move_aside(self.folder)
 
     def _locked(self) -> bool:
         try:
@@ -204,6 +204,18 @@ class Run:
                 return False
         except Timeout:
             return True
+
+
+def _move_aside(folder: Path) -> Path:
+    """Moves what a locked folder holds to the next free <folder>.aside-<n>, and returns that."""
+    number = 1
+    while (aside := folder.with_name(f"{folder.name}.aside-{number}")).exists():
+        number += 1
+    aside.mkdir()
+    for path in folder.iterdir():
+        if path.name != ".lock":
+            path.rename(aside / path.name)
+    return aside
 
 
 def runs_of(parameters: Parameters, results: Path) -> list[Run]:
@@ -251,20 +263,26 @@ def store_evaluation(folder: Path, played: list[PlayedGame], trained_games: int)
     table = pd.DataFrame([asdict(game) for game in played])
     table["trained_games"] = trained_games
     settings = ["trained_games", "difficulty", "sticky_actions", "epsilon", "seed"]
-    if path.exists():
-        table = pd.concat([pd.read_csv(path), table])
-    table = table.drop_duplicates([*settings, "game"], keep="last")
-    write_atomically(path, table.sort_values([*settings, "game"]).to_csv(index=False).encode())
+    with FileLock(folder / ".evaluations.lock"):  # training may end while another evaluates
+        if path.exists():
+            table = pd.concat([pd.read_csv(path), table])
+        table = table.drop_duplicates([*settings, "game"], keep="last")
+        write_atomically(path, table.sort_values([*settings, "game"]).to_csv(index=False).encode())
 
 
 def write_atomically(path: Path, data: bytes) -> None:
     """Readers see the old file or the new one, never a part."""
     temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    with temporary.open("wb") as file:
-        file.write(data)
-        file.flush()
-        os.fsync(file.fileno())
-    temporary.replace(path)
+    try:
+        with temporary.open("wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        temporary.replace(path)
+    except OSError as error:
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
+        raise RunError(f"cannot write {path}: {error.strerror}") from error
 
 
 def read_table(runs: list[Run], name: str) -> pd.DataFrame:

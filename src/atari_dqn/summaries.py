@@ -66,8 +66,8 @@ def conclusion(study: Study) -> str:
         if games < min(EARLY, section.params.episodes):
             continue
         scores = ", ".join(f"{agent} {mean:.1f}" for agent, mean in means.items())
-        text = f"In {section.facts.title}, mean scores over the last {min(RECENT, games)} of {games:,} games "
-        text += f"are {scores} (human {section.facts.human:g})."
+        text = f"In {section.facts.title}, mean scores over the last {min(RECENT, games)} of "
+        text += f"{games:,} games are {scores} (human {section.facts.human:g})."
         missing = [runs.title(agent) for agent in section.params.agents]
         missing = [agent for agent in missing if agent not in means]
         if missing:
