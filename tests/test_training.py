@@ -92,15 +92,58 @@ def test_nothing_depends_on_how_many_games_are_planned(small):
     assert episodes_after(few, 90) == episodes_after(many, 90)
 
 
-def test_the_step_that_restarts_a_game_is_never_learned_from(small):
-    trainer = Trainer(small(max_game_frames=100, replay_capacity=200), "dqn", 1)
-    episodes_after(trainer, 90)
-    rows, streams = trainer.memory._draw(2000)
-    assert (trainer.memory.ages[rows, streams] > 0).all()
-    restarts = (trainer.memory.ages[: trainer.memory.row] == 0).sum()
-    assert restarts > 2  # the first images, and restarts
-    played = trainer.memory.row * 2 - restarts
-    assert trainer.agent_steps == played
+def transition(s_tm1, a_tm1, r_t, continues, s_t):
+    """One to compare with others; observations as the hashes of their bytes."""
+    return hash(s_tm1.tobytes()), int(a_tm1), float(r_t), float(continues), hash(s_t.tobytes())
+
+
+def recorded(games, monkeypatch):
+    """The list that will hold every transition, as the emulators and the agent saw it."""
+    transitions, emulated = [], {}
+    for index, game in enumerate(games.games):
+
+        def emulate(action, index=index, step=game.step):
+            result = step(action)
+            emulated[index] = (action, result[1], not result[2])
+            return result
+
+        monkeypatch.setattr(game, "step", emulate)
+
+    def play(actions, step=games.step):
+        emulated.clear()  # a game that restarts is not stepped
+        before, result, after = games.observations(), step(actions), games.observations()
+        for index, experience in emulated.items():
+            transitions.append(transition(before[index], *experience, after[index]))
+        return result
+
+    monkeypatch.setattr(games, "step", play)
+    return transitions
+
+
+def test_the_memory_holds_each_step_as_it_was_played_and_none_that_restarts_a_game(
+    small, monkeypatch
+):
+    parameters = small(
+        game="breakout",
+        clip_rewards=False,
+        max_game_frames=540,
+        replay_capacity=2000,
+        learning_starts=10_000,
+    )
+    trainer = Trainer(parameters, "dqn", 1)
+    played = recorded(trainer.games, monkeypatch)
+    episodes_after(trainer, 170)
+    assert trainer.agent_steps == len(played)
+    assert {action for _, action, *_ in played} == {0, 1, 2, 3}
+    assert {reward for _, _, reward, *_ in played} >= {0, 1}
+    over = sum(not continues for *_, continues, _ in played)
+    assert 0 < over < trainer.episodes, "one game ended, another was cut"
+    sampled = set()
+    for _ in range(12):
+        batch = trainer.memory.sample(len(played))
+        columns = (batch.s_tm1, batch.a_tm1, batch.r_t, batch.continues, batch.s_t)
+        sampled |= {transition(*row) for row in zip(*columns, strict=True)}
+    assert sampled == set(played)
 
 
 def test_games_that_end_together_are_numbered_and_reported_one_by_one(small):
