@@ -1,11 +1,16 @@
 """Real, tiny training runs on the real cartridges."""
 
+from dataclasses import astuple
+from functools import cache
+
 import numpy as np
 import pytest
 import torch
+from conftest import SMALL
 
 from atari_dqn import checkpoints
 from atari_dqn.agents import AGENTS
+from atari_dqn.params import Parameters
 from atari_dqn.training import Trainer
 
 
@@ -24,10 +29,15 @@ def flat(state, name=""):
     return {name: repr(state)}
 
 
+def numbers(episode):
+    """An episode's values as text, since nan equals no nan."""
+    return [str(value) for value in astuple(episode)]
+
+
 def episodes_after(trainer, steps):
     """Trains for `steps` vector steps; the games that ended."""
     running = trainer.run()
-    return [repr(episode) for _, episode in zip(range(steps), running, strict=False) if episode]
+    return [numbers(episode) for _, episode in zip(range(steps), running, strict=False) if episode]
 
 
 @pytest.mark.parametrize("agent", AGENTS)
@@ -41,21 +51,58 @@ def test_the_same_seed_gives_the_same_run_and_another_seed_another(small, agent,
     assert first.learner.updates > 20
 
 
-# Before learning begins, in the middle of games, right after a target update, and after the ring
-# of 40 rows has wrapped.
-@pytest.mark.parametrize("stop", [3, 33, 57, 100, 130])
+PARAMETERS = Parameters(
+    **{**SMALL, "max_game_frames": 150, "replay_capacity": 80},
+    sticky_actions=0.25,
+    epsilon_start=0.3,
+)
+
+
+@cache
+def uninterrupted(agent):
+    """The games and the final state of a run of 100 steps, in one of which two games end."""
+    trainer = Trainer(PARAMETERS, agent, 6)
+    return episodes_after(trainer, 100), flat(trainer.get_state())
+
+
+def right_after_a_target_update(trainer):
+    learner = trainer.learner
+    renewed = learner.updates > 0 and learner.updates % learner.params.target_update_period == 0
+    pairs = zip(learner.online.parameters(), learner.target.parameters(), strict=True)
+    assert not renewed or all(torch.equal(online, target) for online, target in pairs)
+    return renewed
+
+
+STOPS = {
+    "before learning starts": lambda trainer: trainer.agent_steps == 6,
+    "in the middle of both games": lambda trainer: (
+        trainer.learner.updates > 3 and all(game.length > 20 for game in trainer.games.games)
+    ),
+    "right after a target update": right_after_a_target_update,
+    "while a finished game waits to be reported": lambda trainer: bool(trainer.waiting),
+    "after the memory's ring has wrapped": lambda trainer: (
+        trainer.memory.full and trainer.memory.row == 5
+    ),
+}
+
+
+@pytest.mark.parametrize("stop", STOPS)
 @pytest.mark.parametrize("agent", ["dqn", "dueling_double_dqn"])
-def test_a_resumed_run_is_bit_for_bit_the_one_that_was_never_stopped(small, tmp_path, stop, agent):
-    parameters = small(replay_capacity=80, sticky_actions=0.25, epsilon_start=0.3)
-    whole = Trainer(parameters, agent, 1)
-    expected = episodes_after(whole, 150)
-    stopped, resumed = Trainer(parameters, agent, 1), Trainer(parameters, agent, 1)
-    games = episodes_after(stopped, stop)
+def test_a_resumed_run_is_bit_for_bit_the_one_that_was_never_stopped(tmp_path, stop, agent):
+    expected, final = uninterrupted(agent)
+    stopped, resumed = Trainer(PARAMETERS, agent, 6), Trainer(PARAMETERS, agent, 6)
+    games, steps = [], 0
+    for episode in stopped.run():
+        games += [numbers(episode)] if episode else []
+        steps += 1
+        assert steps < 95, f"never {stop}"
+        if STOPS[stop](stopped):
+            break
     checkpoints.save(tmp_path / "saved", stopped.get_state())
     resumed.set_state(checkpoints.load(tmp_path / "saved"))
-    games += episodes_after(resumed, 150 - stop)
+    games += episodes_after(resumed, 100 - steps)
     assert games == expected
-    assert flat(resumed.get_state()) == flat(whole.get_state())
+    assert flat(resumed.get_state()) == final
 
 
 @pytest.mark.parametrize(
