@@ -268,6 +268,35 @@ def test_a_run_told_to_stop_saves_where_it_is_and_says_so(tmp_path, unstopped, h
     assert_same_results(run.folder, unstopped)
 
 
+def test_value_checks_and_snapshots_are_the_same_after_a_stop_and_a_crash(
+    tmp_path, small, monkeypatch
+):
+    monkeypatch.setattr(recording, "VALUES_PERIOD", 2)
+    monkeypatch.setattr(evaluation, "HELD_OUT_STATES", 16)
+    monkeypatch.setattr(evaluation, "VALUE_GAMES", 1)
+    parameters = small(
+        episodes=6, max_game_frames=100, evaluation_games=1, snapshot_games=[1, 4, 5]
+    )
+
+    def outputs(run):
+        paths = [run.folder / "values.csv", *sorted(run.folder.glob("snapshots/*"))]
+        return {path.name: path.read_bytes() for path in paths}
+
+    whole, run = Run(parameters, tmp_path / "whole"), Run(parameters, tmp_path / "resumed")
+    recording.train(whole)
+    monkeypatch.setenv("ATARI_DQN_STATE", str(tmp_path / "resumed" / "state"))
+    with pytest.raises(KeyboardInterrupt):
+        recording.train(run, asked_to_stop=lambda: run.status()["episodes_done"] == 3)
+    with pytest.raises(ZeroDivisionError):  # the checks after the checkpoint are made again
+        recording.train(run, asked_to_stop=lambda: 1 / (5 - run.status()["episodes_done"]) < 0)
+    assert pd.read_csv(run.folder / "values.csv").episode.tolist() == [2, 4]
+    recording.train(run)
+    assert pd.read_csv(run.folder / "values.csv").episode.tolist() == [2, 4, 6]
+    names = [f"games-{games:05d}.safetensors" for games in (1, 4, 5)]
+    assert list(outputs(run)) == ["values.csv", *names]
+    assert outputs(run) == outputs(whole)
+
+
 def test_games_without_their_checkpoint_are_not_overwritten(tmp_path, small):
     run = Run(small(episodes=2), tmp_path)
     recording.train(run)
