@@ -9,6 +9,7 @@ from gymnasium.wrappers import AtariPreprocessing, FrameStackObservation
 from atari_dqn.envs import FIRE, GAMES, AtariGame, LockstepGames
 
 gymnasium.register_envs(ale_py)
+AGENTS_SCORE, RIVALS_SCORE = 18, 19  # Boxing's memory cells
 ROMS = {"boxing": "ALE/Boxing-v5", "breakout": "ALE/Breakout-v5"}
 
 
@@ -179,6 +180,31 @@ def test_a_restored_game_goes_on_exactly_as_the_saved_one(game, difficulty, stic
     restored.set_state(saved.get_state())
     actions = rng.integers(len(saved.actions), size=400)
     assert play(saved, actions) == play(restored, actions)
+
+
+@pytest.mark.parametrize(
+    ("cell", "knockout"), [(AGENTS_SCORE, 1), (RIVALS_SCORE, -1)], ids=["given", "received"]
+)
+def test_the_hundredth_point_is_a_knockout_for_whoever_scores_it(cell, knockout):
+    game = AtariGame("boxing")
+    game.reset(seed=0)
+    assert game.knockout() == 0
+    game.ale.setRAM(cell, 0x99)
+    rng, terminated = np.random.default_rng(0), False
+    while not terminated:
+        assert game.knockout() == 0
+        *_, terminated, _, _ = game.step(int(rng.integers(18)))
+    assert game.length < 1000, "long before the time is up"
+    assert game.knockout() == knockout
+    assert max(game.points()) == game.points()[knockout < 0] == 100
+
+
+def test_a_breakout_game_knows_no_knockout():
+    game = AtariGame("breakout")
+    game.reset(seed=0)
+    for cell in (AGENTS_SCORE, RIVALS_SCORE):
+        game.ale.setRAM(cell, 0xC0)
+        assert game.knockout() == 0
 
 
 def test_the_difficulty_switches_slow_the_agent_and_its_rival():

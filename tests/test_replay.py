@@ -9,6 +9,11 @@ from atari_dqn import replay
 from atari_dqn.replay import PIXELS, FrameCodec, ReplayMemory
 
 
+@pytest.fixture(autouse=True)
+def _short_segments(monkeypatch):
+    monkeypatch.setattr(replay, "SEGMENT", 200)  # nine images, so that segments are freed
+
+
 def picture(number):
     """An image that no other number has."""
     image = np.full(PIXELS, number % 251, np.uint8)
@@ -110,7 +115,7 @@ def test_samples_equal_a_naive_memorys_wrap_around_included(
         assert batch.continues[index] == (not terminated)
 
 
-def test_sampling_is_uniform_over_all_transitions_that_are_whole():
+def test_sampling_is_uniform_over_all_transitions_but_those_of_a_full_rings_oldest_rows():
     rows, streams, stack = 20, 2, 4
     memory = ReplayMemory(rows * streams, streams, stack, np.random.SeedSequence(0))
     naive = NaiveMemory(rows, stack)
@@ -139,6 +144,8 @@ def test_a_restored_memory_draws_the_same_transitions():
 
     memory, restored = filled(), ReplayMemory(60, 2, 4, np.random.SeedSequence(6))
     memory.sample(10)
+    assert 0 not in memory.frames.segments, "the first segments are freed by now"
+    assert len(memory.frames.segments) > 3
     restored.set_state(memory.get_state())
     for one in (memory, restored):
         fill(one, NaiveMemory(30, 4), [5], 7, np.random.default_rng(3))
@@ -156,11 +163,10 @@ def test_compression_loses_nothing_even_of_noise(seed):
     assert codec.decompress(codec.compress(image)) == image.tobytes()
 
 
-def test_segments_are_dropped_when_their_images_are_overwritten(monkeypatch):
-    monkeypatch.setattr(replay, "SEGMENT", 3000)  # some dozens of images
+def test_segments_are_dropped_when_their_images_are_overwritten():
     memory = ReplayMemory(80, 2, 4, np.random.SeedSequence(0))
     for number in range(20):
         fill(memory, NaiveMemory(40, 4), [5], 40, np.random.default_rng(number))
         held = sum(len(segment) for segment in memory.frames.segments.values())
-        assert held <= memory.frames.size.sum() + 2 * 3000
+        assert held <= memory.frames.size.sum() + 2 * replay.SEGMENT
         assert sum(memory.frames.held.values()) == len(memory)

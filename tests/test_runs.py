@@ -11,6 +11,7 @@ from dataclasses import fields
 
 import pandas as pd
 import pytest
+from conftest import SMALL
 from safetensors.torch import load_file
 
 from atari_dqn import checkpoints, evaluation, params, recording, runs
@@ -48,8 +49,6 @@ def write(folder, parameters):
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
     """A finished run, made through the command line."""
-    from conftest import SMALL
-
     folder = tmp_path_factory.mktemp("finished")
     path = write(folder, params.Parameters(**SMALL))
     environment = {**os.environ, "ATARI_DQN_STATE": str(folder / "state")}
@@ -211,34 +210,91 @@ def test_a_run_of_another_training_version_is_stale(tmp_path, small, monkeypatch
     assert run.state() == "stale"
 
 
-def start(path, results, interval):
-    """A training process of its own, which checkpoints often."""
+STOPPED = params.Parameters(**{**SMALL, "episodes": 8, "replay_capacity": 100})
+
+
+@pytest.fixture(scope="module")
+def unstopped(tmp_path_factory):
+    """The folder of a run that nobody stopped."""
+    folder = tmp_path_factory.mktemp("unstopped")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("ATARI_DQN_STATE", str(folder / "state"))
+        recording.train(Run(STOPPED, folder))
+    return Run(STOPPED, folder).folder
+
+
+def stop(run, how, interval):
+    """Trains a run in a process of its own that checkpoints every `interval` seconds; sends it the
+    signal `how` after two games."""
     program = (
         "import sys; from pathlib import Path; from atari_dqn import params, recording, runs;"
         f"recording.CHECKPOINT_SECONDS = {interval};"
         "recording.train(runs.Run(params.load(sys.argv[1]), Path(sys.argv[2])))"
     )
-    return subprocess.Popen([sys.executable, "-c", program, str(path), str(results)])
-
-
-@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGTERM])
-def test_a_killed_run_continues_as_if_nothing_had_happened(tmp_path, small, how, monkeypatch):
-    path = write(tmp_path, small(episodes=10, replay_capacity=100))
-    run = Run(params.load(path), tmp_path / "killed")
-    process = start(path, run.results, interval=0.0)
-    while not list(run.state_folder.glob("checkpoint-*")) or run.status()["episodes_done"] < 2:
-        assert process.poll() is None, "ended before it could be killed"
-        time.sleep(0.05)
+    run.results.mkdir()
+    path = write(run.results, run.params)
+    process = subprocess.Popen([sys.executable, "-c", program, str(path), str(run.results)])
+    while not checkpoints.exist(run.state_folder) or run.status()["episodes_done"] < 2:
+        assert process.poll() is None, "ended before it could be stopped"
+        time.sleep(0.02)
     process.send_signal(how)
     process.wait()
+
+
+def assert_same_results(folder, other):
+    for name in ("episodes.csv", "model.safetensors", "evaluations.csv"):
+        assert (folder / name).read_bytes() == (other / name).read_bytes(), name
+
+
+def test_a_killed_run_continues_as_if_nothing_had_happened(tmp_path, unstopped):
+    run = Run(STOPPED, tmp_path / "killed")
+    stop(run, signal.SIGKILL, interval=0.0)
+    assert run.status()["state"] == "running", "it had no chance to say otherwise"
     assert run.state() == "interrupted"
     assert len(checkpoints.load(run.state_folder)["trainer"]["memory"]["frames"]["sizes"]) > 0
     recording.train(run)
-    monkeypatch.setenv("ATARI_DQN_STATE", str(tmp_path / "elsewhere"))
-    whole = Run(params.load(path), tmp_path / "whole")
+    assert_same_results(run.folder, unstopped)
+
+
+@pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGINT])
+def test_a_run_told_to_stop_saves_where_it_is_and_says_so(tmp_path, unstopped, how):
+    run = Run(STOPPED, tmp_path / "stopped")
+    stop(run, how, interval=3600.0)
+    status, saved = run.status(), checkpoints.load(run.state_folder)
+    assert status["state"] == "interrupted"
+    assert saved["episodes"] == status["episodes_done"] >= 2, "the first checkpoint holds none"
+    assert saved["trainer"]["agent_steps"] > 0
+    recording.train(run)
+    assert_same_results(run.folder, unstopped)
+
+
+def test_value_checks_and_snapshots_are_the_same_after_a_stop_and_a_crash(
+    tmp_path, small, monkeypatch
+):
+    monkeypatch.setattr(recording, "VALUES_PERIOD", 2)
+    monkeypatch.setattr(evaluation, "HELD_OUT_STATES", 16)
+    monkeypatch.setattr(evaluation, "VALUE_GAMES", 1)
+    parameters = small(
+        episodes=6, max_game_frames=100, evaluation_games=1, snapshot_games=[1, 4, 5]
+    )
+
+    def outputs(run):
+        paths = [run.folder / "values.csv", *sorted(run.folder.glob("snapshots/*"))]
+        return {path.name: path.read_bytes() for path in paths}
+
+    whole, run = Run(parameters, tmp_path / "whole"), Run(parameters, tmp_path / "resumed")
     recording.train(whole)
-    for name in ("episodes.csv", "model.safetensors", "evaluations.csv"):
-        assert (run.folder / name).read_bytes() == (whole.folder / name).read_bytes()
+    monkeypatch.setenv("ATARI_DQN_STATE", str(tmp_path / "resumed" / "state"))
+    with pytest.raises(KeyboardInterrupt):
+        recording.train(run, asked_to_stop=lambda: run.status()["episodes_done"] == 3)
+    with pytest.raises(ZeroDivisionError):  # the checks after the checkpoint are made again
+        recording.train(run, asked_to_stop=lambda: 1 / (5 - run.status()["episodes_done"]) < 0)
+    assert pd.read_csv(run.folder / "values.csv").episode.tolist() == [2, 4]
+    recording.train(run)
+    assert pd.read_csv(run.folder / "values.csv").episode.tolist() == [2, 4, 6]
+    names = [f"games-{games:05d}.safetensors" for games in (1, 4, 5)]
+    assert list(outputs(run)) == ["values.csv", *names]
+    assert outputs(run) == outputs(whole)
 
 
 def test_games_without_their_checkpoint_are_not_overwritten(tmp_path, small):

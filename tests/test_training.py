@@ -1,11 +1,16 @@
 """Real, tiny training runs on the real cartridges."""
 
+from dataclasses import astuple
+from functools import cache
+
 import numpy as np
 import pytest
 import torch
+from conftest import SMALL
 
 from atari_dqn import checkpoints
 from atari_dqn.agents import AGENTS
+from atari_dqn.params import Parameters
 from atari_dqn.training import Trainer
 
 
@@ -24,10 +29,15 @@ def flat(state, name=""):
     return {name: repr(state)}
 
 
+def numbers(episode):
+    """An episode's values as text, since nan equals no nan."""
+    return [str(value) for value in astuple(episode)]
+
+
 def episodes_after(trainer, steps):
     """Trains for `steps` vector steps; the games that ended."""
     running = trainer.run()
-    return [repr(episode) for _, episode in zip(range(steps), running, strict=False) if episode]
+    return [numbers(episode) for _, episode in zip(range(steps), running, strict=False) if episode]
 
 
 @pytest.mark.parametrize("agent", AGENTS)
@@ -41,21 +51,58 @@ def test_the_same_seed_gives_the_same_run_and_another_seed_another(small, agent,
     assert first.learner.updates > 20
 
 
-# Before learning begins, in the middle of games, right after a target update, and after the ring
-# of 40 rows has wrapped.
-@pytest.mark.parametrize("stop", [3, 33, 57, 100, 130])
+PARAMETERS = Parameters(
+    **{**SMALL, "max_game_frames": 150, "replay_capacity": 80},
+    sticky_actions=0.25,
+    epsilon_start=0.3,
+)
+
+
+@cache
+def uninterrupted(agent):
+    """The games and the final state of a run of 100 steps, in one of which two games end."""
+    trainer = Trainer(PARAMETERS, agent, 6)
+    return episodes_after(trainer, 100), flat(trainer.get_state())
+
+
+def right_after_a_target_update(trainer):
+    learner = trainer.learner
+    renewed = learner.updates > 0 and learner.updates % learner.params.target_update_period == 0
+    pairs = zip(learner.online.parameters(), learner.target.parameters(), strict=True)
+    assert not renewed or all(torch.equal(online, target) for online, target in pairs)
+    return renewed
+
+
+STOPS = {
+    "before learning starts": lambda trainer: trainer.agent_steps == 6,
+    "in the middle of both games": lambda trainer: (
+        trainer.learner.updates > 3 and all(game.length > 20 for game in trainer.games.games)
+    ),
+    "right after a target update": right_after_a_target_update,
+    "while a finished game waits to be reported": lambda trainer: bool(trainer.waiting),
+    "after the memory's ring has wrapped": lambda trainer: (
+        trainer.memory.full and trainer.memory.row == 5
+    ),
+}
+
+
+@pytest.mark.parametrize("stop", STOPS)
 @pytest.mark.parametrize("agent", ["dqn", "dueling_double_dqn"])
-def test_a_resumed_run_is_bit_for_bit_the_one_that_was_never_stopped(small, tmp_path, stop, agent):
-    parameters = small(replay_capacity=80, sticky_actions=0.25, epsilon_start=0.3)
-    whole = Trainer(parameters, agent, 1)
-    expected = episodes_after(whole, 150)
-    stopped, resumed = Trainer(parameters, agent, 1), Trainer(parameters, agent, 1)
-    games = episodes_after(stopped, stop)
+def test_a_resumed_run_is_bit_for_bit_the_one_that_was_never_stopped(tmp_path, stop, agent):
+    expected, final = uninterrupted(agent)
+    stopped, resumed = Trainer(PARAMETERS, agent, 6), Trainer(PARAMETERS, agent, 6)
+    games, steps = [], 0
+    for episode in stopped.run():
+        games += [numbers(episode)] if episode else []
+        steps += 1
+        assert steps < 95, f"never {stop}"
+        if STOPS[stop](stopped):
+            break
     checkpoints.save(tmp_path / "saved", stopped.get_state())
     resumed.set_state(checkpoints.load(tmp_path / "saved"))
-    games += episodes_after(resumed, 150 - stop)
+    games += episodes_after(resumed, 100 - steps)
     assert games == expected
-    assert flat(resumed.get_state()) == flat(whole.get_state())
+    assert flat(resumed.get_state()) == final
 
 
 @pytest.mark.parametrize(
@@ -92,15 +139,58 @@ def test_nothing_depends_on_how_many_games_are_planned(small):
     assert episodes_after(few, 90) == episodes_after(many, 90)
 
 
-def test_the_step_that_restarts_a_game_is_never_learned_from(small):
-    trainer = Trainer(small(max_game_frames=100, replay_capacity=200), "dqn", 1)
-    episodes_after(trainer, 90)
-    rows, streams = trainer.memory._draw(2000)
-    assert (trainer.memory.ages[rows, streams] > 0).all()
-    restarts = (trainer.memory.ages[: trainer.memory.row] == 0).sum()
-    assert restarts > 2  # the first images, and restarts
-    played = trainer.memory.row * 2 - restarts
-    assert trainer.agent_steps == played
+def transition(s_tm1, a_tm1, r_t, continues, s_t):
+    """One to compare with others; observations as the hashes of their bytes."""
+    return hash(s_tm1.tobytes()), int(a_tm1), float(r_t), float(continues), hash(s_t.tobytes())
+
+
+def recorded(games, monkeypatch):
+    """The list that will hold every transition, as the emulators and the agent saw it."""
+    transitions, emulated = [], {}
+    for index, game in enumerate(games.games):
+
+        def emulate(action, index=index, step=game.step):
+            result = step(action)
+            emulated[index] = (action, result[1], not result[2])
+            return result
+
+        monkeypatch.setattr(game, "step", emulate)
+
+    def play(actions, step=games.step):
+        emulated.clear()  # a game that restarts is not stepped
+        before, result, after = games.observations(), step(actions), games.observations()
+        for index, experience in emulated.items():
+            transitions.append(transition(before[index], *experience, after[index]))
+        return result
+
+    monkeypatch.setattr(games, "step", play)
+    return transitions
+
+
+def test_the_memory_holds_each_step_as_it_was_played_and_none_that_restarts_a_game(
+    small, monkeypatch
+):
+    parameters = small(
+        game="breakout",
+        clip_rewards=False,
+        max_game_frames=540,
+        replay_capacity=2000,
+        learning_starts=10_000,
+    )
+    trainer = Trainer(parameters, "dqn", 1)
+    played = recorded(trainer.games, monkeypatch)
+    episodes_after(trainer, 170)
+    assert trainer.agent_steps == len(played)
+    assert {action for _, action, *_ in played} == {0, 1, 2, 3}
+    assert {reward for _, _, reward, *_ in played} >= {0, 1}
+    over = sum(not continues for *_, continues, _ in played)
+    assert 0 < over < trainer.episodes, "one game ended, another was cut"
+    sampled = set()
+    for _ in range(12):
+        batch = trainer.memory.sample(len(played))
+        columns = (batch.s_tm1, batch.a_tm1, batch.r_t, batch.continues, batch.s_t)
+        sampled |= {transition(*row) for row in zip(*columns, strict=True)}
+    assert sampled == set(played)
 
 
 def test_games_that_end_together_are_numbered_and_reported_one_by_one(small):

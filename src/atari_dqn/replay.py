@@ -170,7 +170,11 @@ class ReplayMemory:
             self.row, self.full = 0, True
 
     def sample(self, count: int) -> Batch:
-        """`count` transitions, uniformly and independently drawn from all that are whole."""
+        """`count` transitions, drawn uniformly and independently.
+
+        They are drawn from all, but in a full ring never from the `stack` oldest rows, not even
+        where a young game's transition there is whole.
+        """
         rows, streams = self._draw(count)
         ages = self.ages[rows, streams]
         back = np.arange(self.stack, -1, -1)[:, None]  # S, ..., 1, 0 slots back
