@@ -75,7 +75,8 @@ bench: $(READY) ## measure training speed beside the peers' (half an hour; an en
 	.venv-bench/bin/python -m pip install --quiet --requirement benchmarks/requirements.txt
 	$(VENV)/bin/python benchmarks/throughput.py --peers .venv-bench/bin/python
 
-clean: ## remove everything that can be made again; stored runs and checkpoints stay
-	rm -rf $(VENV) .venv-bench results/notebooks results/report results/quick results/smoke
+clean: ## remove everything that can be made again; stored runs, checkpoints and the report stay
+	rm -rf $(VENV) .venv-bench results/notebooks
+	rm -rf $(foreach small,quick smoke,results/$(small)/notebooks results/$(small)/report)
 	rm -rf .pytest_cache .ruff_cache .hypothesis
 	find src tests -name __pycache__ -prune -exec rm -rf {} +

@@ -110,6 +110,8 @@ def test_overrides_move_an_experiment_to_a_name_of_its_own(tmp_path):
     assert changed.experiment == f"mine+{changed.variant()}"
     # one seed, or a value that is the file's own, is no change
     assert params.load(path, {"seeds": [7], "gamma": 0.9}).experiment == "mine"
+    with pytest.raises(ParameterError, match="experiment: 'other' is not allowed"):
+        params.load(path, {"experiment": "other"})
     # more games continue the very same run
     longer, longest = params.load(path, {"episodes": 10}), params.load(path, {"episodes": 20})
     assert longer.experiment == longest.experiment != "mine"

@@ -27,9 +27,10 @@ def conv_output(size: int, kernel: int, stride: int, padding: int = 0, dilation:
     return (size + 2 * padding - dilation * (kernel - 1) - 1) // stride + 1
 
 
-def layer_table(stack: int = 4, actions: int = 18) -> pd.DataFrame:
+def layer_table() -> pd.DataFrame:
     """The convolutions of the Nature network: output size by the formula, and the real one."""
-    network = AGENTS["dqn"].network(stack, actions)
+    stack = 4  # images
+    network = AGENTS["dqn"].network(stack, actions=18)
     rows = []
 
     def record(layer: nn.Module, inputs: tuple, output: torch.Tensor) -> None:
@@ -74,6 +75,53 @@ def memory_text(images: int = 2000) -> str:
         + " and ".join(f"{size:.2f} GB" for size in million.values())
         + "."
     )
+
+
+def exploration_text(p: Parameters) -> str:
+    """How a set-up explores, and when it renews its target network."""
+    fall = np.log(p.epsilon_floor / p.epsilon_start) / np.log(p.epsilon_decay)
+    return (
+        f"The probability of a random action starts at {p.epsilon_start:g} and is multiplied by "
+        f"{p.epsilon_decay:g} for every finished game until it reaches its floor of "
+        f"{p.epsilon_floor:g}, after {fall:,.0f} games. The target network is a copy of the online "
+        f"network that is renewed every {p.target_update_period:,} updates, so that the target "
+        "does not move with every step."
+    )
+
+
+GAME_FRAMES = (
+    7130  # of a full game of Boxing: two minutes of its clock, at about 60 frames a second
+)
+
+
+def units(p: Parameters) -> pd.DataFrame:
+    """What a frame, an agent step, an update and a game are, and how many there are at most."""
+    steps = GAME_FRAMES / p.frame_skip
+    rows = [
+        ("frame", "a picture of the emulator, 1/60 s", GAME_FRAMES),
+        ("agent step", f"a decision; {p.frame_skip} frames", steps),
+        (
+            "update",
+            f"a lesson of the network, every {p.update_period} steps",
+            steps / p.update_period,
+        ),
+        ("game", "from the bell to the bell, or to a knock-out", 1),
+    ]
+    all_games = f"in {p.episodes:,} games of Boxing, at most"
+    return pd.DataFrame(
+        {
+            "unit": unit,
+            "is": meaning,
+            "in a full game of Boxing": _rounded(count),
+            all_games: _rounded(count * p.episodes),
+        }
+        for unit, meaning, count in rows
+    )
+
+
+def _rounded(count: float) -> str:
+    """Three digits that count, thousands apart."""
+    return f"{float(f'{count:.3g}'):,.0f}"
 
 
 def _compressed_sizes(name: str, images: int) -> list[int]:

@@ -208,7 +208,10 @@ def held_out_states(params: Parameters) -> np.ndarray:
 def check_values(
     network: nn.Module, params: Parameters, held_out: np.ndarray, episode: int, seed: int
 ) -> ValueCheck:
-    """Compares predicted values with what then happened (van Hasselt et al., 2016, figure 3)."""
+    """Compares predicted values with what then happened (van Hasselt et al., 2016, figure 3).
+
+    `held_out` are observations [N, 84, 84, stack], of which the mean greatest value is taken.
+    """
     device = next(network.parameters()).device
     tables = [Table(params) for _ in range(VALUE_GAMES)]
     for number, table in enumerate(tables):

@@ -267,6 +267,10 @@ def load(path: Path | str, overrides: dict[str, Any] | None = None) -> Parameter
         )
     base = parse(values, str(path))
     changed = parse({**values, **(overrides or {})}, f"{path} with overrides")
+    if changed.experiment != base.experiment:
+        raise ParameterError(
+            f"experiment: {changed.experiment!r} is not allowed: {path} is {base.experiment!r}"
+        )
     return _renamed(base, changed)
 
 

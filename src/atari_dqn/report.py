@@ -16,6 +16,7 @@ import nbformat
 import papermill
 import pypandoc
 import typst
+from filelock import FileLock, Timeout
 from nbconvert import MarkdownExporter
 from tqdm import tqdm
 
@@ -34,9 +35,19 @@ def build(profile: str, results: Path | None = None) -> Path:
 
     `full` renders what is stored, and trains nothing; the other profiles first train what is
     missing of their small runs. Sections whose notebook, code, parameters and runs are those of
-    the last time are not executed again. Raises RunError if a run or a section fails.
+    the last time are not executed again. Raises RunError if a run or a section fails, or if the
+    report is being built by another process.
     """
     folder = runs.results_folder(profile, results)
+    (folder / "notebooks").mkdir(parents=True, exist_ok=True)
+    try:
+        with FileLock(folder / "notebooks" / ".lock", timeout=0):
+            return _build(profile, folder)
+    except Timeout:
+        raise RunError(f"the report in {folder} is being built by another process") from None
+
+
+def _build(profile: str, folder: Path) -> Path:
     if profile != "full":
         failures = experiments.train_all(experiments.planned(profile, [], folder))
         if failures:
@@ -83,7 +94,6 @@ def _execute(profile: str, folder: Path, results: Path) -> list[Path]:
     A failing one leaves no output there.
     """
     target = folder / "notebooks"
-    target.mkdir(parents=True, exist_ok=True)
     sections = sorted((runs.project_root() / "notebooks").glob("[0-9]*.ipynb"))
     stale = []
     for notebook in sections:
@@ -113,7 +123,8 @@ def _execute_one(notebook: Path, target: Path, profile: str, results: Path) -> N
     """Executes one notebook; raises RunError that names the section, the cell and the error."""
     os.environ["OMP_NUM_THREADS"] = "1"  # of the notebook's process: another has the other core
     partial = target / f".{notebook.name}"
-    (target / notebook.name).unlink(missing_ok=True)
+    for old in (f"{notebook.stem}.inputs", notebook.name):  # the stamp first, if one is left
+        (target / old).unlink(missing_ok=True)
     for start in range(STARTS):
         try:
             papermill.execute_notebook(

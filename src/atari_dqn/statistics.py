@@ -12,8 +12,8 @@ def trailing_mean(scores: pd.Series, window: int) -> pd.Series:
     return scores.rolling(window).mean()
 
 
-def interval(values: np.ndarray, confidence: float = 0.95) -> tuple[float, float]:
-    """Bootstrap confidence interval of the mean (percentile method, 9,999 resamples).
+def interval(values: np.ndarray) -> tuple[float, float]:
+    """95% bootstrap interval of the mean (percentile method, 9,999 resamples).
 
     Raises ValueError for fewer than two values, from which nothing can be resampled.
     """
@@ -22,7 +22,7 @@ def interval(values: np.ndarray, confidence: float = 0.95) -> tuple[float, float
     result = stats.bootstrap(
         (np.asarray(values, float),),
         np.mean,
-        confidence_level=confidence,
+        confidence_level=0.95,
         method="percentile",
         rng=np.random.default_rng(0),
     )
