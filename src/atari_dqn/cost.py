@@ -64,6 +64,22 @@ def show_throughput() -> None:
         "emulation; and that speed, which no program that does the same arithmetic can pass, "
         f"would be {1 / peer.share_of_roofline:.2f} times {peer.library}."
     )
+    show_text(_gain_of_cores(measured[measured.library == OURS], machine["cores"]))
+
+
+def _gain_of_cores(ours: pd.DataFrame, cores: int) -> str:
+    """What the other cores bring, as processes and as threads: DQN, against a process on one."""
+    alone = ours[(ours.agent == "dqn") & (ours.setup == "one process, 1 thread")].iloc[0]
+    same = ours[(ours.agent == "dqn") & (ours.environments == alone.environments)]
+    gains = same.set_index("setup").steps_per_second / alone.steps_per_second
+    if cores == 1:
+        return "The machine has one core only."
+    return (
+        f"On its {cores} cores, one process a core makes "
+        f"{gains['one process a core, 1 thread']:.2f} times the agent steps of one process on one "
+        f"core, and one process of {cores} threads {gains[f'one process, {cores} threads']:.2f} "
+        "times: hence one run a core."
+    )
 
 
 def show_breakdown() -> None:
