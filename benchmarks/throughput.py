@@ -242,6 +242,7 @@ def main() -> None:
         "roofline_steps_per_second_a_core": {a: round(v, 1) for a, v in roofline.items()},
         "rounds": chosen.rounds,
         "agent_steps_timed": chosen.steps,
+        "update_period": UPDATE_PERIOD,
     }
     (chosen.output / "machine.json").write_text(json.dumps(machine, indent=1) + "\n")
     print(measured.to_string(index=False))

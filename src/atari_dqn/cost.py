@@ -7,7 +7,7 @@ import pandas as pd
 import seaborn as sns
 from matplotlib import pyplot as plt
 
-from atari_dqn import plots, provenance, runs
+from atari_dqn import params, plots, provenance, runs
 from atari_dqn.agents import AGENTS
 from atari_dqn.exhibits import hold_places, show_absent, show_figure, show_table, show_text
 from atari_dqn.sections import Study, data
@@ -45,19 +45,21 @@ def show_throughput() -> None:
         figure,
         label="fig-throughput",
         caption=f"Training speed on {machine['cores']} cores of an {machine['processor']}: Boxing, "
-        "batch 32, one update every 4 agent steps, everything included. Each library in its "
-        "best set-up; `results/benchmarks/throughput.csv` has them all. Dashed: what the machine "
-        "could do at most. Stable-Baselines3 has no Double DQN.",
+        f"batch 32, one update every {machine['update_period']} agent steps, everything included. "
+        "Each library in its best set-up; `results/benchmarks/throughput.csv` has them all. "
+        "Dashed: what the machine could do at most. Stable-Baselines3 has no Double DQN.",
         alt="Bars of agent steps a second for this project and its peers.",
         data=f"{FOLDER}/throughput.csv",
     )
     ours = ours.loc["dqn"]
     peer = best[(best.library != OURS) & (best.agent == "dqn")].iloc[0]
+    study = params.load(runs.project_root() / "params" / "boxing_final.yaml")
     show_text(
         f"With DQN this project makes {ours.steps_per_second:.0f} agent steps a second, "
         f"{ours.ratio_to_best_peer:.2f} times {peer.library}, the "
-        "faster of two well-known libraries, in its best set-up. (The benchmark updates every 4 "
-        "agent steps, as is usual; the runs of this study every 8.) That is "
+        "faster of two well-known libraries, in its best set-up. (The benchmark updates every "
+        f"{machine['update_period']} agent steps, as is usual; the runs of this study every "
+        f"{study.update_period}.) That is "
         f"{ours.share_of_roofline:.0%} of the machine's *roofline*, the speed it would have if it "
         "did nothing but the necessary arithmetic at its processor's highest speed "
         f"({machine['float32_gflops_a_core']:.0f} billion operations a second and core) and the "
