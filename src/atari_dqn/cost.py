@@ -101,6 +101,43 @@ def show_breakdown() -> None:
     )
 
 
+def show_whole_run() -> None:
+    """What a whole training process does and needs, as its replay memory fills."""
+    label = "tbl-whole-run"
+    path = runs.project_root() / FOLDER / "whole_run.csv"
+    if not path.exists():
+        show_absent(label, "`python benchmarks/whole_run.py` has not been run.")
+        return
+    measured = pd.read_csv(path)
+    first, last = measured.iloc[0], measured.iloc[-1]
+    show_text(
+        f"A whole run of Double DQN in Boxing, alone on one core, makes "
+        f"{first.steps_per_second:.0f} agent steps a second with {first.transitions:,.0f} stored "
+        f"transitions and {last.steps_per_second:.0f} with {last.transitions:,.0f}. With these, "
+        f"writing a checkpoint takes {last.checkpoint_seconds:.1f} seconds, "
+        f"{last.checkpoint_share_of_time:.1%} of the run's time, and the process holds "
+        f"{last.resident_megabytes / 1000:.1f} GB at its peak."
+    )
+    shown = pd.DataFrame(
+        {
+            "transitions": measured.transitions.map("{:,}".format),
+            "agent steps a second": measured.steps_per_second,
+            "checkpoint: seconds": measured.checkpoint_seconds,
+            "MB": measured.checkpoint_megabytes,
+            "share of time": measured.checkpoint_share_of_time.map("{:.1%}".format),
+            "seconds to load": measured.load_seconds,
+            "peak memory (MB)": measured.resident_megabytes,
+        }
+    )
+    show_table(
+        shown,
+        label=label,
+        caption="A training process of `boxing_final` by the size of its replay memory, filled "
+        "with random play.",
+        decimals=1,
+    )
+
+
 SETTINGS_COLUMNS = (
     *("setup", "cpu_minutes", "agent_steps", "updates", "training_games"),
     *("games", "score", "low", "high"),
