@@ -196,14 +196,14 @@ def show_settings() -> None:
 
 
 def show_hours(study: Study) -> None:
-    """Core-hours so far, and beside the source report's early run."""
+    """Hours by the clock so far, one core each, and beside the source report's early run."""
     stored = [run for run in study.runs if run.state() != runs.MISSING]
     hours = sum(provenance.hours(run) for run in stored)
     early = study["breakout_early"]
-    text = f"The {len(stored)} stored runs took {hours:,.1f} hours of one core so far."
+    text = f"The {len(stored)} stored runs took {hours:,.1f} hours by the clock, one core each."
     if early.complete:
         ours = early.episodes.seconds.max() / 3600
         theirs = data("source_report")["early_breakout_hours"]
-        text += f" The 7,000 games of the early Breakout run took {ours:.1f} hours on one core; "
-        text += f"the source report's took over {theirs}."
+        text += f" The 7,000 games of the early Breakout run took {ours:.1f} of them; "
+        text += f"the source report's took over {theirs} hours."
     show_text(text)
