@@ -103,7 +103,8 @@ def measure(variant: str) -> float:
     if change:
         change()
     training.prepare_process()
-    learner = Learner(AGENTS["dqn"], 18, Parameters(experiment="gains"), seed=1)
+    parameters = Parameters(experiment="gains", device="cpu")
+    learner = Learner(AGENTS["dqn"], 18, parameters, seed=1)
     rng = np.random.default_rng(0)
     together = 1 if variant.endswith("one by one") else 2
     images = rng.integers(256, size=(2, together * BATCH, 84, 84, 4), dtype=np.uint8)
