@@ -53,6 +53,7 @@ def main() -> None:
     peak = matrix_peak()
     parameters = Parameters(
         experiment="benchmark",
+        device="cpu",
         batch_size=BATCH,
         update_period=UPDATE_PERIOD,
         replay_capacity=CAPACITY,

@@ -11,6 +11,7 @@ prepare_process()
 torch.set_num_threads(chosen.threads)
 parameters = Parameters(
     experiment="benchmark",
+    device="cpu",
     environments=chosen.environments,
     batch_size=BATCH,
     update_period=UPDATE_PERIOD,

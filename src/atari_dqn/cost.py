@@ -7,7 +7,7 @@ import pandas as pd
 import seaborn as sns
 from matplotlib import pyplot as plt
 
-from atari_dqn import plots, provenance, runs
+from atari_dqn import params, plots, provenance, runs
 from atari_dqn.agents import AGENTS
 from atari_dqn.exhibits import hold_places, show_absent, show_figure, show_table, show_text
 from atari_dqn.sections import Study, data
@@ -45,24 +45,42 @@ def show_throughput() -> None:
         figure,
         label="fig-throughput",
         caption=f"Training speed on {machine['cores']} cores of an {machine['processor']}: Boxing, "
-        "batch 32, one update every 4 agent steps, everything included. Each library in its "
-        "best set-up; `results/benchmarks/throughput.csv` has them all. Dashed: what the machine "
-        "could do at most. Stable-Baselines3 has no Double DQN.",
+        f"batch 32, one update every {machine['update_period']} agent steps, everything included. "
+        "Each library in its best set-up; `results/benchmarks/throughput.csv` has them all. "
+        "Dashed: what the machine could do at most. Stable-Baselines3 has no Double DQN.",
         alt="Bars of agent steps a second for this project and its peers.",
         data=f"{FOLDER}/throughput.csv",
     )
     ours = ours.loc["dqn"]
     peer = best[(best.library != OURS) & (best.agent == "dqn")].iloc[0]
+    study = params.load(runs.project_root() / "params" / "boxing_final.yaml")
     show_text(
         f"With DQN this project makes {ours.steps_per_second:.0f} agent steps a second, "
         f"{ours.ratio_to_best_peer:.2f} times {peer.library}, the "
-        "faster of two well-known libraries, in its best set-up. (The benchmark updates every 4 "
-        "agent steps, as is usual; the runs of this study every 8.) That is "
+        "faster of two well-known libraries, in its best set-up. (The benchmark updates every "
+        f"{machine['update_period']} agent steps, as is usual; the runs of this study every "
+        f"{study.update_period}.) That is "
         f"{ours.share_of_roofline:.0%} of the machine's *roofline*, the speed it would have if it "
         "did nothing but the necessary arithmetic at its processor's highest speed "
         f"({machine['float32_gflops_a_core']:.0f} billion operations a second and core) and the "
         "emulation; and that speed, which no program that does the same arithmetic can pass, "
         f"would be {1 / peer.share_of_roofline:.2f} times {peer.library}."
+    )
+    show_text(_gain_of_cores(measured[measured.library == OURS], machine["cores"]))
+
+
+def _gain_of_cores(ours: pd.DataFrame, cores: int) -> str:
+    """What the other cores bring, as processes and as threads: DQN, against a process on one."""
+    alone = ours[(ours.agent == "dqn") & (ours.setup == "one process, 1 thread")].iloc[0]
+    same = ours[(ours.agent == "dqn") & (ours.environments == alone.environments)]
+    gains = same.set_index("setup").steps_per_second / alone.steps_per_second
+    if cores == 1:
+        return "The machine has one core only."
+    return (
+        f"On its {cores} cores, one process a core makes "
+        f"{gains['one process a core, 1 thread']:.2f} times the agent steps of one process on one "
+        f"core, and one process of {cores} threads {gains[f'one process, {cores} threads']:.2f} "
+        "times: hence one run a core."
     )
 
 
@@ -80,6 +98,43 @@ def show_breakdown() -> None:
         label="tbl-breakdown",
         caption="Where the time of an update and its four agent steps goes: one process, one "
         "thread; and how near the processor's highest speed the arithmetic comes.",
+    )
+
+
+def show_whole_run() -> None:
+    """What a whole training process does and needs, as its replay memory fills."""
+    label = "tbl-whole-run"
+    path = runs.project_root() / FOLDER / "whole_run.csv"
+    if not path.exists():
+        show_absent(label, "`python benchmarks/whole_run.py` has not been run.")
+        return
+    measured = pd.read_csv(path)
+    first, last = measured.iloc[0], measured.iloc[-1]
+    show_text(
+        f"A whole run of Double DQN in Boxing, alone on one core, makes "
+        f"{first.steps_per_second:.0f} agent steps a second with {first.transitions:,.0f} stored "
+        f"transitions and {last.steps_per_second:.0f} with {last.transitions:,.0f}. With these, "
+        f"writing a checkpoint takes {last.checkpoint_seconds:.1f} seconds, "
+        f"{last.checkpoint_share_of_time:.1%} of the run's time, and the process holds "
+        f"{last.resident_megabytes / 1000:.1f} GB at its peak."
+    )
+    shown = pd.DataFrame(
+        {
+            "transitions": measured.transitions.map("{:,}".format),
+            "agent steps a second": measured.steps_per_second,
+            "checkpoint: seconds": measured.checkpoint_seconds,
+            "MB": measured.checkpoint_megabytes,
+            "share of time": measured.checkpoint_share_of_time.map("{:.1%}".format),
+            "seconds to load": measured.load_seconds,
+            "peak memory (MB)": measured.resident_megabytes,
+        }
+    )
+    show_table(
+        shown,
+        label=label,
+        caption="A training process of `boxing_final` by the size of its replay memory, filled "
+        "with random play.",
+        decimals=1,
     )
 
 
@@ -141,14 +196,14 @@ def show_settings() -> None:
 
 
 def show_hours(study: Study) -> None:
-    """Core-hours so far, and beside the source report's early run."""
+    """Hours by the clock so far, one core each, and beside the source report's early run."""
     stored = [run for run in study.runs if run.state() != runs.MISSING]
     hours = sum(provenance.hours(run) for run in stored)
     early = study["breakout_early"]
-    text = f"The {len(stored)} stored runs took {hours:,.1f} hours of one core so far."
+    text = f"The {len(stored)} stored runs took {hours:,.1f} hours by the clock, one core each."
     if early.complete:
         ours = early.episodes.seconds.max() / 3600
         theirs = data("source_report")["early_breakout_hours"]
-        text += f" The 7,000 games of the early Breakout run took {ours:.1f} hours on one core; "
-        text += f"the source report's took over {theirs}."
+        text += f" The 7,000 games of the early Breakout run took {ours:.1f} of them; "
+        text += f"the source report's took over {theirs} hours."
     show_text(text)
