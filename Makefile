@@ -68,7 +68,7 @@ lock: $(READY) ## renew environment.lock from pyproject.toml
 	  --python-version 3.11 --generate-hashes --no-emit-package torch --no-annotate --no-header \
 	  --no-emit-index-url --no-emit-find-links --upgrade --output-file environment.lock
 
-bench: $(READY) ## measure training speed beside the peers' (half an hour; an environment of its own)
+bench: $(READY) ## measure training speed beside the peers' (an hour; an environment of its own)
 	test -d .venv-bench || $(PYTHON) -m venv .venv-bench
 	.venv-bench/bin/python -m pip install --quiet $(TORCH) \
 	  $(if $(TORCH_INDEX),--index-url $(TORCH_INDEX))

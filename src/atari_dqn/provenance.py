@@ -16,7 +16,7 @@ def read(run: Run) -> dict[str, Any]:
 
 
 def hours(run: Run) -> float:
-    """Core-hours of training behind the stored games."""
+    """Hours by the clock, on one core, of the training behind the stored games."""
     return _last(run, "timing.csv", "seconds") / 3600
 
 

@@ -256,9 +256,9 @@ def show_variations(section: Section, reference: Section, agent: str) -> None:
     show_table(
         pd.DataFrame(rows),
         label=table,
-        caption=f"{section.facts.title}, `{section.params.experiment}`: core-hours, training "
-        "scores with exploration, and the mean of the greedy games of a finished run. "
-        "Intervals are over games of one run (bootstrap), not over seeds.",
+        caption=f"{section.facts.title}, `{section.params.experiment}`: hours by the clock on "
+        "one core, training scores with exploration, and the mean of the greedy games of a "
+        "finished run. Intervals are over games of one run (bootstrap), not over seeds.",
         decimals=1,
     )
 
