@@ -1,19 +1,20 @@
 """What a setting scores for its processor time: runs that differ in one setting each.
 
-    python benchmarks/settings.py [--minutes 60]
+    python benchmarks/settings.py [--minutes 60] [--best-minutes 180]
 
 Every variation in settings.yaml is trained for the same processor time, one process a core, and
-plays 50 greedy games after every 20 minutes of it. Scores while training do not compare, since
-epsilon falls with the games finished. Writes settings.csv (a row an evaluation; the first is random
-play) and settings_training.csv (a row a training game) into results/benchmarks/. Checkpoints are
-kept: the same command continues what was stopped, and more `--minutes` lengthen it. Single runs:
-indications.
+plays 50 greedy games after every 20 minutes of it; the two that then score best go on. Scores while
+training do not compare, since epsilon falls with the games finished. Writes settings.csv (a row an
+evaluation; the first is random play) and settings_training.csv (a row a training game) into
+results/benchmarks/. Checkpoints are kept: the same command continues what was stopped, and more
+minutes lengthen it. Single runs: indications.
 """
 
 import argparse
 import multiprocessing
 import os
 import time
+from collections.abc import Iterable
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict
 from pathlib import Path
@@ -32,12 +33,14 @@ from atari_dqn.training import Trainer, prepare_process
 GAMES = 50  # of each evaluation
 SLICE = 5 * 60.0  # seconds of processor time between checkpoints
 SLICES = 4  # between evaluations
+BEST = 2  # variations that are trained for longer
 
 
-def measure(label: str, parameters: Parameters, minutes: float, folder: Path) -> dict[str, Any]:
+def measure(label: str, parameters: Parameters, minutes: int, state: Path) -> dict[str, Any]:
     """Trains one variation for that long in all; returns its evaluations and training games."""
     prepare_process()
     trainer = Trainer(parameters, parameters.agents[0], parameters.seeds[0])
+    folder = _folder(state, label, parameters)
     done: dict[str, Any] = {"label": label, "slices": 0, "evaluations": [], "games": []}
     saved = checkpoints.load(folder)
     if saved is not None:
@@ -93,34 +96,54 @@ def random_play(parameters: Parameters) -> dict[str, Any]:
     return {"setup": "random play", **evaluate(network, guessing)}
 
 
-def main() -> None:
+def best_after(minutes: int, evaluations: pd.DataFrame) -> list[str]:
+    """The variations that scored best after that much processor time."""
+    then = evaluations[evaluations.cpu_minutes == minutes]
+    return list(then.nlargest(BEST, "score").setup)
+
+
+def arguments() -> argparse.Namespace:
+    """The command line. Raises SystemExit where training would not end with an evaluation."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--minutes", type=float, default=60, help="processor time of each")
+    parser.add_argument("--minutes", type=int, default=60, help="processor time of each")
+    parser.add_argument("--best-minutes", type=int, default=180, help="of the two best")
     parser.add_argument("--output", type=Path, default=project_root() / "results" / "benchmarks")
     chosen = parser.parse_args()
+    between = round(SLICES * SLICE / 60)
+    for name, minutes in [("minutes", chosen.minutes), ("best-minutes", chosen.best_minutes)]:
+        if minutes < between or minutes % between:
+            parser.error(f"--{name} {minutes}: a multiple of {between}, the minutes to a score")
+    return chosen
+
+
+def main() -> None:
+    chosen = arguments()
     chosen.output.mkdir(parents=True, exist_ok=True)
     setups = params.variants(params.load(Path(__file__).with_name("settings.yaml")))
     state = Path(
         os.environ.get("ATARI_DQN_STATE") or project_root() / "results" / "state", "settings"
     )
     finished: dict[str, dict[str, Any]] = {}
+
+    def collected(key: str) -> pd.DataFrame:
+        return pd.DataFrame([row for name in setups for row in finished.get(name, {}).get(key, [])])
+
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(os.cpu_count(), mp_context=context) as pool:
         guessed = pool.submit(random_play, next(iter(setups.values())))
-        jobs = [
-            pool.submit(measure, *setup, chosen.minutes, _folder(state, *setup))
-            for setup in setups.items()
-        ]
-        for job in as_completed(jobs):
-            done = job.result()
-            finished[done["label"]] = done
-            ordered = [finished[name] for name in setups if name in finished]
-            evaluations = [row for each in ordered for row in each["evaluations"]]
-            games = [row for each in ordered for row in each["games"]]
-            table = pd.DataFrame([guessed.result(), *evaluations])
-            table.to_csv(chosen.output / "settings.csv", index=False)
-            pd.DataFrame(games).to_csv(chosen.output / "settings_training.csv", index=False)
-            print(pd.DataFrame(done["evaluations"]).to_string(index=False), flush=True)
+
+        def train(labels: Iterable[str], minutes: int) -> None:
+            jobs = [pool.submit(measure, name, setups[name], minutes, state) for name in labels]
+            for job in as_completed(jobs):
+                done = job.result()
+                finished[done["label"]] = done
+                table = pd.concat([pd.DataFrame([guessed.result()]), collected("evaluations")])
+                table.to_csv(chosen.output / "settings.csv", index=False)
+                collected("games").to_csv(chosen.output / "settings_training.csv", index=False)
+                print(pd.DataFrame(done["evaluations"]).to_string(index=False), flush=True)
+
+        train(setups, chosen.minutes)
+        train(best_after(chosen.minutes, collected("evaluations")), chosen.best_minutes)
 
 
 if __name__ == "__main__":
