@@ -20,15 +20,14 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-import seaborn as sns
 import torch
 from ale_py import roms
-from matplotlib import pyplot as plt
 from torch import nn
 from workload import BATCH, UPDATE_PERIOD
 
 from atari_dqn import plots
 from atari_dqn.agents import AGENTS
+from atari_dqn.cost import OURS, best_setups, draw_throughput
 from atari_dqn.envs import ALEInterface
 from atari_dqn.networks import Linear
 from atari_dqn.recording import processor
@@ -37,7 +36,6 @@ from atari_dqn.training import prepare_process
 
 HERE = Path(__file__).parent
 CORES = os.cpu_count() or 1
-OURS = "atari-dqn"
 TRIALS = 2  # rounds of all set-ups; one alone may be a slow spell's
 SCRIPTS = {OURS: "run_ours.py", "Stable-Baselines3": "run_sb3.py", "Tianshou": "run_tianshou.py"}
 
@@ -193,21 +191,6 @@ def table(speeds: dict[Contestant, list[float]], roofline: dict[str, float]) -> 
     return pd.DataFrame(rows)
 
 
-def draw(measured: pd.DataFrame, path: Path) -> None:
-    """Each library's best set-up, with the range over rounds."""
-    plots.style()
-    best = measured.loc[measured.groupby(["library", "agent"]).steps_per_second.idxmax()]
-    best = best.sort_values("steps_per_second", ascending=False)
-    best["agent"] = best.agent.map(lambda agent: AGENTS[agent].title)
-    figure, axes = plt.subplots(figsize=(plots.WIDTH, 2.6))
-    sns.barplot(best, x="steps_per_second", y="library", hue="agent", palette="colorblind", ax=axes)
-    for bars in axes.containers:
-        axes.bar_label(bars, fmt="%.0f", padding=3, fontsize="small")
-    axes.set(xlabel="agent steps a second, whole machine, best set-up", ylabel="")
-    axes.legend(title=None, loc="lower right")
-    figure.savefig(path, metadata={"Date": None, "Creator": None})
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--peers", help="the Python that has the peers; without it, ours alone")
@@ -234,7 +217,9 @@ def main() -> None:
     chosen.output.mkdir(parents=True, exist_ok=True)
     measured = table(speeds, roofline)
     measured.to_csv(chosen.output / "throughput.csv", index=False)
-    draw(measured, chosen.output / "throughput.svg")
+    plots.style()
+    figure = draw_throughput(best_setups(measured))
+    figure.savefig(chosen.output / "throughput.svg", metadata={"Date": None, "Creator": None})
     machine = {
         "processor": processor(),
         "cores": CORES,

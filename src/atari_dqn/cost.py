@@ -16,16 +16,14 @@ OURS = "atari-dqn"
 FOLDER = "results/benchmarks"
 
 
-def show_throughput() -> None:
-    """Training speed beside the peers', each in its best set-up."""
-    folder = runs.project_root() / FOLDER
-    if not (folder / "throughput.csv").exists():
-        show_absent("fig-throughput", "The benchmark has not been run: `make bench` does.")
-        return
-    measured = pd.read_csv(folder / "throughput.csv")
-    machine = json.loads((folder / "machine.json").read_text())
+def best_setups(measured: pd.DataFrame) -> pd.DataFrame:
+    """Of the rows of `throughput.csv`, each library's fastest for each agent, fastest first."""
     best = measured.loc[measured.groupby(["library", "agent"]).steps_per_second.idxmax()]
-    best = best.sort_values("steps_per_second", ascending=False)
+    return best.sort_values("steps_per_second", ascending=False)
+
+
+def draw_throughput(best: pd.DataFrame) -> plt.Figure:
+    """Bars of agent steps a second, and the roofline of each agent."""
     figure, axes = plt.subplots(figsize=(plots.WIDTH, 2.6))
     colours = {AGENTS[agent].title: plots.COLOURS[agent] for agent in best.agent.unique()}
     shown = best.assign(agent=best.agent.map(lambda agent: AGENTS[agent].title))
@@ -41,8 +39,20 @@ def show_throughput() -> None:
         )  # fmt: skip
     axes.set(xlabel="agent steps a second, whole machine, best set-up", ylabel="")
     axes.legend(title=None, loc="lower left", bbox_to_anchor=(0, 1), ncols=2)
+    return figure
+
+
+def show_throughput() -> None:
+    """Training speed beside the peers', each in its best set-up."""
+    folder = runs.project_root() / FOLDER
+    if not (folder / "throughput.csv").exists():
+        show_absent("fig-throughput", "The benchmark has not been run: `make bench` does.")
+        return
+    measured = pd.read_csv(folder / "throughput.csv")
+    machine = json.loads((folder / "machine.json").read_text())
+    best = best_setups(measured)
     show_figure(
-        figure,
+        draw_throughput(best),
         label="fig-throughput",
         caption=f"Training speed on {machine['cores']} cores of an {machine['processor']}: Boxing, "
         f"batch 32, one update every {machine['update_period']} agent steps, everything included. "
@@ -51,7 +61,7 @@ def show_throughput() -> None:
         alt="Bars of agent steps a second for this project and its peers.",
         data=f"{FOLDER}/throughput.csv",
     )
-    ours = ours.loc["dqn"]
+    ours = best[(best.library == OURS) & (best.agent == "dqn")].iloc[0]
     peer = best[(best.library != OURS) & (best.agent == "dqn")].iloc[0]
     study = params.load(runs.project_root() / "params" / "boxing_final.yaml")
     show_text(
