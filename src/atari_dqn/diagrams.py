@@ -458,7 +458,7 @@ def layers(agent: str, stack: int = 4, actions: int = 18) -> Figure:
     for layer in found:
         depth[layer.name] = 1 + max(depth[name] for name in layer.inputs or [""])
     last = max(depth.values()) + 1
-    pitch, height = 0.66, 0.44
+    pitch, height = 0.61, 0.44
     sheet = Sheet(pitch * last + height + 0.1)
 
     top = sheet.height - height / 2 - 0.05
