@@ -17,7 +17,7 @@ import pandas as pd
 from throughput import layer_operations, matrix_peak
 from torch import nn
 from torch.profiler import ProfilerActivity, profile, record_function
-from workload import BATCH, CAPACITY, LEARNING_STARTS, UPDATE_PERIOD, WARM_UP
+from workload import BATCH, CAPACITY, EPSILON, LEARNING_STARTS, UPDATE_PERIOD, WARM_UP
 
 from atari_dqn.params import Parameters
 from atari_dqn.runs import project_root
@@ -55,6 +55,7 @@ def main() -> None:
         experiment="benchmark",
         device="cpu",
         batch_size=BATCH,
+        epsilon_start=EPSILON,
         update_period=UPDATE_PERIOD,
         replay_capacity=CAPACITY,
         learning_starts=LEARNING_STARTS,

@@ -1,7 +1,7 @@
 """This project's training loop, as `throughput.py` times it."""
 
 import torch
-from workload import BATCH, CAPACITY, LEARNING_STARTS, UPDATE_PERIOD, Stopwatch, arguments
+from workload import BATCH, CAPACITY, EPSILON, LEARNING_STARTS, UPDATE_PERIOD, Stopwatch, arguments
 
 from atari_dqn.params import Parameters
 from atari_dqn.training import Trainer, prepare_process
@@ -14,6 +14,7 @@ parameters = Parameters(
     device="cpu",
     environments=chosen.environments,
     batch_size=BATCH,
+    epsilon_start=EPSILON,
     update_period=UPDATE_PERIOD,
     replay_capacity=CAPACITY,
     learning_starts=LEARNING_STARTS,

@@ -10,7 +10,7 @@ from stable_baselines3 import DQN
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.env_util import make_atari_env
 from stable_baselines3.common.vec_env import VecFrameStack
-from workload import BATCH, CAPACITY, LEARNING_STARTS, UPDATE_PERIOD, Stopwatch, arguments
+from workload import BATCH, CAPACITY, EPSILON, LEARNING_STARTS, UPDATE_PERIOD, Stopwatch, arguments
 
 gymnasium.register_envs(ale_py)
 chosen = arguments()
@@ -35,6 +35,8 @@ model = DQN(
     learning_starts=LEARNING_STARTS,
     train_freq=UPDATE_PERIOD if one else 1,
     gradient_steps=1 if one else chosen.environments // UPDATE_PERIOD,
+    exploration_initial_eps=EPSILON,
+    exploration_final_eps=EPSILON,
     target_update_interval=1000 * UPDATE_PERIOD,
     optimize_memory_usage=False,
     device="cpu",

@@ -11,7 +11,7 @@ from tianshou.env import DummyVectorEnv
 from tianshou.env.atari.atari_network import DQNet, ScaledObsInputActionReprNet
 from tianshou.env.atari.atari_wrapper import wrap_deepmind
 from tianshou.utils.torch_utils import torch_train_mode
-from workload import BATCH, CAPACITY, LEARNING_STARTS, UPDATE_PERIOD, Stopwatch, arguments
+from workload import BATCH, CAPACITY, EPSILON, LEARNING_STARTS, UPDATE_PERIOD, Stopwatch, arguments
 
 gymnasium.register_envs(ale_py)
 chosen = arguments()
@@ -26,7 +26,7 @@ actions = environments.action_space[0]
 policy = DiscreteQLearningPolicy(
     model=ScaledObsInputActionReprNet(DQNet(4, 84, 84, actions.n)),
     action_space=actions,
-    eps_training=0.9,
+    eps_training=EPSILON,
 )
 algorithm = DQN(
     policy=policy,

@@ -12,7 +12,6 @@ go to TMPDIR, which should be on a disk.
 
 import argparse
 import multiprocessing
-import resource
 import tempfile
 import time
 from concurrent.futures import ProcessPoolExecutor
@@ -71,7 +70,7 @@ def train(
         "checkpoint_seconds": round(seconds, 2),
         "checkpoint_megabytes": round(sum(f.stat().st_size for f in newest.iterdir()) / 1e6, 1),
         "checkpoint_share_of_time": round(seconds / (recording.CHECKPOINT_SECONDS + seconds), 4),
-        "resident_megabytes": peak_megabytes(),
+        "resident_megabytes": round(recording.peak_memory() / 1e6, 1),
     }
 
 
@@ -87,12 +86,10 @@ def resume(parameters: Parameters, folder: Path) -> dict[str, float]:
     trainer.set_state(saved["trainer"])
     loading += time.perf_counter() - start
     next(trainer.run())
-    return {"load_seconds": round(loading, 2), "resident_megabytes": peak_megabytes()}
-
-
-def peak_megabytes() -> float:
-    """The most memory that this process ever held; Linux counts in KiB."""
-    return round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e6, 1)
+    return {
+        "load_seconds": round(loading, 2),
+        "resident_megabytes": round(recording.peak_memory() / 1e6, 1),
+    }
 
 
 def main() -> None:

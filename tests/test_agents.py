@@ -99,6 +99,8 @@ def test_one_update_equals_an_independent_computation(agent, small):
     assert mean_q == pytest.approx(taken.mean().item(), rel=1e-4)
     for name, after in learner.online.named_parameters():
         gradient = weights[name].grad.numpy()
+        moment = learner.optimiser.state[after]["exp_avg"].numpy()  # a tenth of the first gradient
+        np.testing.assert_allclose(moment, 0.1 * gradient, rtol=1e-3, atol=1e-6)
         # Adam's first step: the bias-corrected moments are the gradient and its square.
         step = 1e-3 * gradient / (np.abs(gradient) + 1e-8)
         sure = np.abs(gradient) > 1e-5  # elsewhere rounding decides the sign of the step

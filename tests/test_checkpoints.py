@@ -1,3 +1,4 @@
+import errno
 import json
 import subprocess
 import sys
@@ -65,6 +66,10 @@ def damage_by_a_torn_manifest(folder):
     (folder / "manifest.json").write_text('{"state.json": ')
 
 
+def damage_by_an_empty_manifest(folder):
+    (folder / "manifest.json").write_text("{}")
+
+
 @pytest.mark.parametrize(
     "damage",
     [
@@ -72,6 +77,7 @@ def damage_by_a_torn_manifest(folder):
         damage_by_a_flipped_bit,
         damage_by_a_missing_file,
         damage_by_a_torn_manifest,
+        damage_by_an_empty_manifest,
     ],
 )
 def test_a_damaged_checkpoint_is_passed_over_with_a_warning(tmp_path, damage):
@@ -86,6 +92,18 @@ def test_a_damaged_checkpoint_is_passed_over_with_a_warning(tmp_path, damage):
         pytest.raises(CheckpointError, match="every checkpoint in"),
     ):
         checkpoints.load(tmp_path)
+
+
+def test_a_checkpoint_that_cannot_be_read_now_is_not_taken_for_damaged(tmp_path, monkeypatch):
+    def too_many_open_files(path):
+        raise OSError(errno.EMFILE, "Too many open files")
+
+    checkpoints.save(tmp_path, {"number": 1})
+    with monkeypatch.context() as patch:
+        patch.setattr(checkpoints, "_digest", too_many_open_files)
+        with pytest.raises(CheckpointError, match="checkpoint-000001: Too many open files"):
+            checkpoints.load(tmp_path)
+    assert checkpoints.load(tmp_path)["number"] == 1
 
 
 def test_a_damaged_checkpoint_does_not_count_as_one_of_the_two_kept(tmp_path):

@@ -1,5 +1,7 @@
 """A run as a user sees it: its folder, its states, and the command line."""
 
+import errno
+import io
 import json
 import os
 import shutil
@@ -80,6 +82,7 @@ def test_a_finished_runs_folder_holds_all_it_promises(finished):
     (session,) = provenance["sessions"]
     assert session["threads"] == 1
     assert session["versions"]["torch"]
+    assert 100 < session["peak_memory_megabytes"] < 2000
 
 
 def test_the_published_model_is_the_trained_one_in_half_precision(finished, small):
@@ -224,9 +227,9 @@ def unstopped(tmp_path_factory):
     return Run(STOPPED, folder).folder
 
 
-def stop(run, how, interval):
+def stop(run, how, interval, games=2):
     """Trains a run in a process of its own that checkpoints every `interval` seconds; sends it the
-    signal `how` after two games."""
+    signal `how` after so many games."""
     program = (
         "import sys; from pathlib import Path; from atari_dqn import params, recording, runs;"
         f"recording.CHECKPOINT_SECONDS = {interval};"
@@ -235,7 +238,7 @@ def stop(run, how, interval):
     run.results.mkdir()
     path = write(run.results, run.params)
     process = subprocess.Popen([sys.executable, "-c", program, str(path), str(run.results)])
-    while not checkpoints.exist(run.state_folder) or run.status()["episodes_done"] < 2:
+    while not checkpoints.exist(run.state_folder) or run.status()["episodes_done"] < games:
         assert process.poll() is None, "ended before it could be stopped"
         time.sleep(0.02)
     process.send_signal(how)
@@ -247,12 +250,43 @@ def assert_same_results(folder, other):
         assert (folder / name).read_bytes() == (other / name).read_bytes(), name
 
 
-def test_a_killed_run_continues_as_if_nothing_had_happened(tmp_path, unstopped):
+@pytest.mark.parametrize("games", [0, 2, 4, 6])
+def test_a_killed_run_continues_as_if_nothing_had_happened(tmp_path, unstopped, games):
+    """A checkpoint at every step, so that most kills fall into the writing of one."""
     run = Run(STOPPED, tmp_path / "killed")
-    stop(run, signal.SIGKILL, interval=0.0)
+    stop(run, signal.SIGKILL, 0.0, games)
     assert run.status()["state"] == "running", "it had no chance to say otherwise"
     assert run.state() == "interrupted"
-    assert len(checkpoints.load(run.state_folder)["trainer"]["memory"]["frames"]["sizes"]) > 0
+    provenance = json.loads((run.folder / "provenance.json").read_text())
+    saved = checkpoints.load(run.state_folder)["trainer"]["agent_steps"]
+    assert saved - 2 * STOPPED.environments <= provenance["agent_steps"] <= saved
+    recording.train(run)
+    assert_same_results(run.folder, unstopped)
+
+
+class FullDisk(io.RawIOBase):
+    def writable(self):
+        return True
+
+    def write(self, data):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+
+def test_no_room_for_a_row_is_a_clear_error_and_the_run_continues_later(
+    tmp_path, unstopped, monkeypatch
+):
+    run, opened = Run(STOPPED, tmp_path / "full"), recording.Recorder.__init__
+
+    def open_on_a_full_disk(self, run):
+        opened(self, run)
+        self.files["episodes.csv"].close()
+        self.files["episodes.csv"] = io.TextIOWrapper(io.BufferedWriter(FullDisk()))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(recording.Recorder, "__init__", open_on_a_full_disk)
+        with pytest.raises(RunError, match=r"cannot write .*episodes.csv: No space left"):
+            recording.train(run)
+    assert run.status()["state"] == "failed"
     recording.train(run)
     assert_same_results(run.folder, unstopped)
 

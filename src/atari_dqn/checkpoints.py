@@ -67,16 +67,18 @@ def load(folder: Path) -> dict[str, Any] | None:
     """The state in the newest undamaged checkpoint of `folder`, or None if there never was one.
 
     A damaged checkpoint is set aside as damaged-* with a warning. Raises CheckpointError if all
-    are damaged.
+    are damaged, or if one cannot be read now but may be whole.
     """
     for checkpoint in reversed(_found(folder)):
         try:
             return _read(checkpoint)
-        except (OSError, ValueError, KeyError, SafetensorError) as error:
+        except (FileNotFoundError, ValueError, KeyError, SafetensorError) as error:
             warnings.warn(f"{checkpoint} is damaged ({error}); passed over", stacklevel=2)
             aside = folder / checkpoint.name.replace("checkpoint", "damaged")
             shutil.rmtree(aside, ignore_errors=True)
             checkpoint.rename(aside)
+        except OSError as error:  # no permission, too many open files: nothing that says damaged
+            raise CheckpointError(f"cannot read {checkpoint}: {error.strerror}") from error
     if any(folder.glob("damaged-*")):
         raise CheckpointError(f"every checkpoint in {folder} is damaged; delete it to start again")
     return None
@@ -124,6 +126,8 @@ def _write(folder: Path, state: dict[str, Any]) -> None:
 
 def _read(folder: Path) -> dict[str, Any]:
     manifest = json.loads((folder / "manifest.json").read_bytes())
+    if not {"arrays.safetensors", "state.json"} <= manifest.keys():
+        raise ValueError("manifest.json does not name all files")
     for file, digest in manifest.items():
         if _digest(folder / file) != digest:
             raise ValueError(f"{file} does not match its checksum")

@@ -14,6 +14,7 @@ from atari_dqn.sections import Study, data
 
 OURS = "atari-dqn"
 FOLDER = "results/benchmarks"
+AIMED_SHARE, AIMED_RATIO = 0.75, 2.3  # of the roofline; of the fastest peer's speed
 
 
 def best_setups(measured: pd.DataFrame) -> pd.DataFrame:
@@ -77,6 +78,23 @@ def show_throughput() -> None:
         f"would be {1 / peer.share_of_roofline:.2f} times {peer.library}."
     )
     show_text(_gain_of_cores(measured[measured.library == OURS], machine["cores"]))
+    show_text(_aims(ours.share_of_roofline, ours.ratio_to_best_peer, peer.share_of_roofline))
+
+
+def _aims(share: float, ratio: float, share_of_peer: float) -> str:
+    """How far what was aimed at has been reached."""
+    aims = {
+        f"{AIMED_SHARE:.0%} of the roofline": share >= AIMED_SHARE,
+        f"{AIMED_RATIO} times the fastest peer": ratio >= AIMED_RATIO,
+    }
+    verdicts = [f"{aim}, which is {'reached' if met else 'missed'}" for aim, met in aims.items()]
+    text = f"The aims, set beforehand, were {'; and '.join(verdicts)}."
+    if AIMED_RATIO * share_of_peer > 1:
+        text += (
+            " The latter is beyond this machine's roofline: the peer's share of it is "
+            f"{share_of_peer:.0%}, and {AIMED_RATIO} times that is more than all."
+        )
+    return text
 
 
 def _gain_of_cores(ours: pd.DataFrame, cores: int) -> str:
@@ -121,7 +139,7 @@ def show_whole_run() -> None:
     measured = pd.read_csv(path)
     first, last = measured.iloc[0], measured.iloc[-1]
     show_text(
-        f"A whole run of Double DQN in Boxing, alone on one core, makes "
+        f"A training process of Double DQN in Boxing, alone on one core, makes "
         f"{first.steps_per_second:.0f} agent steps a second with {first.transitions:,.0f} stored "
         f"transitions and {last.steps_per_second:.0f} with {last.transitions:,.0f}. With these, "
         f"writing a checkpoint takes {last.checkpoint_seconds:.1f} seconds, "
@@ -143,7 +161,7 @@ def show_whole_run() -> None:
         shown,
         label=label,
         caption="A training process of `boxing_final` by the size of its replay memory, filled "
-        "with random play.",
+        "with random play; one measurement each.",
         decimals=1,
     )
 
@@ -180,8 +198,10 @@ def show_settings() -> None:
     show_figure(
         figure,
         label=figure_label,
-        caption="Double DQN in Boxing, one setting changed at a time, for the same processor time. "
-        "Bars are 95% bootstrap intervals over 50 evaluation games of one run each.",
+        caption="Double DQN in Boxing, one setting changed at a time, for the same processor time; "
+        f"*{trained.setup.iloc[0]}* is the final set-up itself. Bars are 95% bootstrap intervals "
+        "over 50 evaluation games of one run each: they hold the luck of these games, and neither "
+        "that of the seed nor that of the moment at which training stopped.",
         alt="Scores of greedy evaluation games against processor time, a line a setting.",
         data=f"{FOLDER}/settings.csv",
     )
@@ -215,7 +235,10 @@ def show_hours(study: Study) -> None:
     stored = [run for run in study.runs if run.state() != runs.MISSING]
     hours = sum(provenance.hours(run) for run in stored)
     early = study["breakout_early"]
-    text = f"The {len(stored)} stored runs took {hours:,.1f} hours by the clock, one core each."
+    text = f"The {len(stored)} stored runs took {hours:,.1f} hours by the clock, one core each"
+    if peak := max((provenance.peak_megabytes(run) for run in stored), default=0):
+        text += f", and held up to {peak / 1000:.1f} GB of memory"
+    text += "."
     if early.complete:
         ours = early.episodes.seconds.max() / 3600
         theirs = data("source_report")["early_breakout_hours"]

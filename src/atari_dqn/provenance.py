@@ -20,6 +20,12 @@ def hours(run: Run) -> float:
     return _last(run, "timing.csv", "seconds") / 3600
 
 
+def peak_megabytes(run: Run) -> float:
+    """The most memory that a process held while it trained the run; 0 if it was not noted."""
+    sessions = read(run)["sessions"]
+    return max(session.get("peak_memory_megabytes", 0.0) for session in sessions)
+
+
 def _last(run: Run, file: str, column: str) -> float:
     table = runs.read_table([run], file)
     return 0.0 if table.empty else float(table[column].iloc[-1])

@@ -4,6 +4,7 @@ import hashlib
 import json
 import os
 import platform
+import resource
 import signal
 import subprocess
 import sys
@@ -117,6 +118,7 @@ def _play_and_learn(recorder: "Recorder", stopped: Callable[[], bool], position:
             if done or stop or recorder.checkpoint_due():
                 recorder.save()
                 recorder.publish()
+                recorder.write_provenance()
             if stop:
                 raise KeyboardInterrupt
             if done:
@@ -188,7 +190,8 @@ class Recorder:
 
     def close(self) -> None:
         for file in self.files.values():
-            file.close()
+            with suppress(OSError):  # a row that could not be written has been reported
+                file.close()
 
     def now(self) -> float:
         """Seconds of training so far, across resumes."""
@@ -299,6 +302,7 @@ class Recorder:
 
     def write_provenance(self) -> None:
         """Where the run comes from: every stretch of training that has gone into it."""
+        self.sessions[-1]["peak_memory_megabytes"] = round(peak_memory() / 1e6, 1)
         provenance = {
             "training_version": TRAINING_VERSION,
             "identity": self.run.params.identity(),
@@ -326,6 +330,12 @@ def _session(first_episode: int, device: str) -> dict[str, Any]:
         "threads": torch.get_num_threads(),
         "device": device,
     }
+
+
+def peak_memory() -> int:
+    """The most bytes of memory that this process has held at once."""
+    unit = 1 if sys.platform == "darwin" else 1024
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit
 
 
 @contextmanager
