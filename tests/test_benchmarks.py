@@ -72,16 +72,33 @@ STUDY = pd.DataFrame(
 )
 
 
+def trained(setup, games, score):
+    """Rows of settings_training.csv: the first 40 games score 0."""
+    return [
+        {"setup": setup, "episode": game, "score": score * (game > 40)}
+        for game in range(1, games + 1)
+    ]
+
+
+GAMES = pd.DataFrame(
+    [
+        *trained("steady", 90, 6.0),
+        *trained("lucky once", 100, 4.0),
+        *trained("second", 300, 2.0),
+        *trained("early", 91, 8.0),
+    ]
+)
+
+
 def test_the_two_best_set_ups_are_those_of_the_last_two_evaluations_in_the_common_time():
     assert settings.best_after(60, STUDY.iloc[1:]) == ["steady", "second"]
 
 
-def test_the_table_of_settings_has_each_at_the_common_time_and_the_longer_ones_after(
-    tmp_path, monkeypatch
-):
+def test_the_settings_are_shown_after_the_same_time_and_after_the_same_games(tmp_path, monkeypatch):
     folder = tmp_path / cost.FOLDER
     folder.mkdir(parents=True)
     STUDY.to_csv(folder / "settings.csv", index=False)
+    GAMES.to_csv(folder / "settings_training.csv", index=False)
     tables = []
     monkeypatch.setattr(cost.runs, "project_root", lambda: tmp_path)
     monkeypatch.setattr(cost, "show_figure", lambda *_, **__: None)
@@ -94,3 +111,5 @@ def test_the_table_of_settings_has_each_at_the_common_time_and_the_longer_ones_a
     ]
     assert table.minutes.tolist()[1:] == [60, 60, 60, 60, 80]
     assert table.score.tolist() == [1, 24, 26, 30, 1, 90]
+    assert table["while training"].tolist()[1:5] == [6, 4, 2, 8]  # games 41 to 90
+    assert table["while training"].isna().tolist() == [True, False, False, False, False, True]

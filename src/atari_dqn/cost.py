@@ -166,6 +166,7 @@ def show_whole_run() -> None:
     )
 
 
+GAMES_COMPARED = 50  # training games of each set-up, at the same number of games and epsilon
 SETTINGS_COLUMNS = (
     *("setup", "cpu_minutes", "agent_steps", "updates", "training_games"),
     *("games", "score", "low", "high"),
@@ -211,6 +212,10 @@ def show_settings() -> None:
     rows = pd.concat(
         [guessed, trained[trained.cpu_minutes == common], longest[longest.cpu_minutes > common]]
     )
+    games = pd.read_csv(runs.project_root() / FOLDER / "settings_training.csv")
+    upto = games.groupby("setup").episode.max().min()
+    same = games[(games.episode > upto - GAMES_COMPARED) & (games.episode <= upto)]
+    learned = rows.setup.map(same.groupby("setup").score.mean())
     shown = pd.DataFrame(
         {
             "setting": rows.setup,
@@ -219,13 +224,16 @@ def show_settings() -> None:
             "updates": rows.updates.map("{:,.0f}".format).replace("nan", "–"),
             "score": rows.score,
             "95% interval": [f"{row.low:.1f} to {row.high:.1f}" for row in rows.itertuples()],
+            "while training": learned.where(~(rows.cpu_minutes > common)),
         }
     )
     show_table(
         shown,
         label=table_label,
         caption="The same, after the time that each setting was given, and after the longer time "
-        "of the two that did best. One run each: differences of a few points say little.",
+        "of the two that did best. One run each: differences of a few points say little. While "
+        f"training: mean score of games {upto - GAMES_COMPARED + 1} to {upto}, which all have "
+        "played, with the same epsilon and at different cost.",
         decimals=1,
     )
 
