@@ -104,12 +104,15 @@ def _gain_of_cores(ours: pd.DataFrame, cores: int) -> str:
     gains = same.set_index("setup").steps_per_second / alone.steps_per_second
     if cores == 1:
         return "The machine has one core only."
-    return (
-        f"On its {cores} cores, one process a core makes "
-        f"{gains['one process a core, 1 thread']:.2f} times the agent steps of one process on one "
-        f"core, and one process of {cores} threads {gains[f'one process, {cores} threads']:.2f} "
-        "times: hence one run a core."
+    processes = gains["one process a core, 1 thread"]
+    text = (
+        f"On its {cores} cores, one process a core makes {processes:.2f} times the agent steps of "
+        f"one process on one core, and one process of {cores} threads "
+        f"{gains[f'one process, {cores} threads']:.2f} times: hence one run a core."
     )
+    if processes > cores:
+        text += f" (More than {cores} times is the machine's own unrest from round to round.)"
+    return text
 
 
 def show_breakdown() -> None:
