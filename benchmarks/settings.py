@@ -21,9 +21,11 @@ from pathlib import Path
 from typing import Any
 
 import pandas as pd
+from filelock import FileLock
 from torch import nn
 
 from atari_dqn import checkpoints, evaluation, params
+from atari_dqn.experiments import cores, stopping_on_sigterm
 from atari_dqn.params import Parameters
 from atari_dqn.recording import processor
 from atari_dqn.runs import project_root
@@ -39,8 +41,14 @@ BEST = 2  # variations that are trained for longer
 def measure(label: str, parameters: Parameters, minutes: int, state: Path) -> dict[str, Any]:
     """Trains one variation for that long in all; returns its evaluations and training games."""
     prepare_process()
-    trainer = Trainer(parameters, parameters.agents[0], parameters.seeds[0])
     folder = _folder(state, label, parameters)
+    folder.mkdir(parents=True, exist_ok=True)
+    with FileLock(folder / ".lock", timeout=0):
+        return _measured(label, parameters, minutes, folder)
+
+
+def _measured(label: str, parameters: Parameters, minutes: int, folder: Path) -> dict[str, Any]:
+    trainer = Trainer(parameters, parameters.agents[0], parameters.seeds[0])
     done: dict[str, Any] = {"label": label, "slices": 0, "evaluations": [], "games": []}
     saved = checkpoints.load(folder)
     if saved is not None:
@@ -131,7 +139,7 @@ def main() -> None:
         return pd.DataFrame([row for name in setups for row in finished.get(name, {}).get(key, [])])
 
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(os.cpu_count(), mp_context=context) as pool:
+    with stopping_on_sigterm(), ProcessPoolExecutor(cores(), mp_context=context) as pool:
         guessed = pool.submit(random_play, next(iter(setups.values())))
 
         def train(labels: Iterable[str], minutes: int) -> None:
@@ -144,8 +152,13 @@ def main() -> None:
                 collected("games").to_csv(chosen.output / "settings_training.csv", index=False)
                 print(pd.DataFrame(done["evaluations"]).to_string(index=False), flush=True)
 
-        train(setups, chosen.minutes)
-        train(best_after(chosen.minutes, collected("evaluations")), chosen.best_minutes)
+        try:
+            train(setups, chosen.minutes)
+            train(best_after(chosen.minutes, collected("evaluations")), chosen.best_minutes)
+        except BaseException:  # the pool would finish all that is queued first
+            for process in multiprocessing.active_children():
+                process.terminate()
+            raise
 
 
 if __name__ == "__main__":

@@ -77,8 +77,11 @@ def load(folder: Path) -> dict[str, Any] | None:
             aside = folder / checkpoint.name.replace("checkpoint", "damaged")
             shutil.rmtree(aside, ignore_errors=True)
             checkpoint.rename(aside)
-        except OSError as error:  # no permission, too many open files: nothing that says damaged
-            raise CheckpointError(f"cannot read {checkpoint}: {error.strerror}") from error
+        except OSError as error:  # no permission, too many open files: it may be whole
+            raise CheckpointError(
+                f"cannot read {checkpoint}: {error.strerror}; if that stays so, delete it to go on "
+                "from the one before"
+            ) from error
     if any(folder.glob("damaged-*")):
         raise CheckpointError(f"every checkpoint in {folder} is damaged; delete it to start again")
     return None

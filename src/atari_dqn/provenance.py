@@ -21,7 +21,7 @@ def hours(run: Run) -> float:
 
 
 def peak_megabytes(run: Run) -> float:
-    """The most memory that a process held while it trained the run; 0 if it was not noted."""
+    """The most memory that a process which trained the run has ever held; 0 if none noted it."""
     sessions = read(run)["sessions"]
     return max(session.get("peak_memory_megabytes", 0.0) for session in sessions)
 

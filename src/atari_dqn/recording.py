@@ -334,8 +334,11 @@ def _session(first_episode: int, device: str) -> dict[str, Any]:
 
 def peak_memory() -> int:
     """The most bytes of memory that this process has held at once."""
-    unit = 1 if sys.platform == "darwin" else 1024
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit
+    if sys.platform == "linux":  # whose ru_maxrss is inherited from the process that started it
+        for line in Path("/proc/self/status").read_text().splitlines():
+            if line.startswith("VmHWM"):
+                return int(line.split()[1]) * 1024
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 
 
 @contextmanager
