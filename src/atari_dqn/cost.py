@@ -87,8 +87,8 @@ def _aims(share: float, ratio: float) -> str:
         f"{AIMED_SHARE:.0%} of the roofline": share >= AIMED_SHARE,
         f"{AIMED_RATIO} times the fastest peer": ratio >= AIMED_RATIO,
     }
-    verdicts = [f"{aim}, which is {'reached' if met else 'missed'}" for aim, met in aims.items()]
-    return f"The aims were {'; and '.join(verdicts)}."
+    verdicts = [f"{aim} ({'reached' if met else 'missed'})" for aim, met in aims.items()]
+    return f"The aims were {' and '.join(verdicts)}."
 
 
 def _gain_of_cores(ours: pd.DataFrame, cores: int) -> str:
