@@ -1,6 +1,7 @@
 """What makes a section of the report out of date, and what does not."""
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
@@ -49,6 +50,16 @@ def test_only_what_a_section_is_made_from_makes_it_stale(notebook, tmp_path, mon
     assert changes(of["boxing_final"] / "episodes.csv"), "its experiment's"
     assert not changes(of["breakout_final"] / "episodes.csv"), "another's"
     assert changes(notebook, "\n")
+
+
+def test_a_small_section_depends_on_the_full_file_too(notebook, tmp_path, monkeypatch):
+    shutil.copytree(ROOT / "params", tmp_path / "params")
+    shutil.copy(ROOT / "pyproject.toml", tmp_path)
+    monkeypatch.chdir(tmp_path)
+    before = freshness.fingerprint(notebook, "smoke", tmp_path)
+    full = tmp_path / "params" / "boxing_final.yaml"
+    full.write_text(full.read_text().replace("evaluation_epsilon: 0.001", "evaluation_epsilon: 0"))
+    assert freshness.fingerprint(notebook, "smoke", tmp_path) != before
 
 
 def run_folder(name, results):

@@ -147,12 +147,34 @@ def test_values_injected_into_a_notebook_are_overrides_of_the_file_they_name(tmp
     values = {"experiment": "mine", "learning_rate": "1e-3"}
     assert params.resolve(values, tmp_path) == params.load(tmp_path / "mine.yaml")
     assert params.resolve({**values, "gamma": 0.8}, tmp_path).experiment.startswith("mine+")
-    assert params.resolve({"experiment": "new", "gamma": 0.8}, tmp_path).gamma == 0.8
+    assert params.resolve({"experiment": "new", "game": "breakout"}, tmp_path).game == "breakout"
     with pytest.raises(ParameterError, match=r"experiment: 'other' is not allowed: there is no"):
-        params.resolve({"experiment": "other", "profile": "full", "episodes": 5}, tmp_path)
+        params.resolve({"experiment": "other", "profile": "full", "gamma": 0.5}, tmp_path)
     write(tmp_path, "gamma: 0.9", "boxing_final.yaml")
     with pytest.raises(ParameterError, match=r"did you mean 'boxing_final'\?"):
-        params.resolve({"experiment": "boxing_finl", "gamma": 0.8}, tmp_path)
+        params.resolve({"experiment": "boxing_finl", "game": "boxing"}, tmp_path)
+
+
+def test_a_small_file_differs_from_the_full_one_wherever_it_is_named_from(tmp_path, monkeypatch):
+    (tmp_path / "quick").mkdir()
+    write(tmp_path, "gamma: 0.9\nreplay_capacity: 80000\nepisodes: 100")
+    small = "profile: quick\nreplay_capacity: 800\nepisodes: 5"
+    expected = params.load(write(tmp_path / "quick", small))
+    assert (expected.gamma, expected.replay_capacity) == (0.9, 800)
+    monkeypatch.chdir(tmp_path / "quick")
+    assert params.load("mine.yaml") == expected
+
+
+def test_a_full_file_does_not_become_small_by_its_profiles_name(tmp_path):
+    (tmp_path / "quick").mkdir()
+    path = write(tmp_path, "gamma: 0.9\nreplay_capacity: 80000\nepisodes: 100")
+    write(tmp_path / "quick", "profile: quick\nreplay_capacity: 800\nepisodes: 5")
+    with pytest.raises(ParameterError, match=r"profile: 'quick' is not allowed: .*is 'full'"):
+        params.load(path, {"profile": "quick"})
+    values = {"experiment": "mine", "profile": "quick"}
+    with pytest.raises(ParameterError, match=r"give params/quick/mine\.yaml instead"):
+        params.resolve({**params.read_values(path), **values, "episodes": 7}, tmp_path)
+    assert params.resolve({**values, "episodes": 7}, tmp_path).replay_capacity == 800
 
 
 def test_what_is_evaluated_besides_gives_an_experiment_no_other_name(tmp_path):

@@ -12,7 +12,7 @@ import nbformat
 import papermill
 import pytest
 
-from atari_dqn import experiments, report, runs
+from atari_dqn import experiments, params, report, runs, sections
 
 ROOT = Path(__file__).parents[1]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
@@ -52,9 +52,9 @@ def test_notebooks_are_stripped_tagged_and_free_of_classes_and_loops(path):
         assert not re.search(r"^\s*(class|def|while) ", cell.source, re.MULTILINE), cell.id
 
 
-def execute(output, parameters, folder):
+def execute(output, parameters, folder, name="experiment"):
     papermill.execute_notebook(
-        ROOT / "notebooks" / "experiment.ipynb",
+        ROOT / "notebooks" / f"{name}.ipynb",
         output,
         parameters,
         cwd=folder,
@@ -82,6 +82,11 @@ def test_an_unknown_parameter_of_the_notebook_names_the_nearest_one(tmp_path):
         execute(tmp_path / "out.ipynb", {**SMOKE, "epsiodes": 3}, ROOT)
 
 
+def test_an_experiment_of_several_runs_is_refused_by_the_notebook_for_one():
+    with pytest.raises(params.ParameterError, match="'boxing_sensitivity' is not allowed"):
+        sections.run_from_notebook({"experiment": "boxing_sensitivity", "profile": "smoke"})
+
+
 @pytest.fixture(scope="module")
 def built(tmp_path_factory):
     """A smoke report of all experiments, made from nothing."""
@@ -102,6 +107,14 @@ def test_the_report_has_every_section_and_every_experiment(built):
     assert "SMOKE RUN, NOT EVIDENCE" in html
     assert "runs complete" in html
     assert (built / "report.pdf").read_bytes().startswith(b"%PDF")
+
+
+def test_the_exploring_notebook_plays_a_stored_agent(built, tmp_path):
+    parameters = {"profile": "smoke", "results_dir": str(built.parent)}
+    played = execute(tmp_path / "out.ipynb", parameters, ROOT, "explore").cells[-1].outputs
+    assert "difficulty" in played[-1].data["text/plain"]
+    with pytest.raises(papermill.PapermillExecutionError, match="no model is stored of boxing_fin"):
+        execute(tmp_path / "out.ipynb", {"profile": "full", "seed": 77}, ROOT, "explore")
 
 
 def test_figures_say_where_they_come_from_and_curves_show_their_values(built):

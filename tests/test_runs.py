@@ -406,6 +406,37 @@ def test_a_failing_run_says_so_in_its_status(tmp_path, small, monkeypatch):
     assert "ZeroDivisionError" in run.status()["error"]
 
 
+@pytest.mark.parametrize("name", ["status.json", "provenance.json"])
+@pytest.mark.parametrize("damage", [None, "{<<<<<<< conflict"])
+def test_a_damaged_run_is_named_and_comes_back_from_its_checkpoint(tmp_path, small, name, damage):
+    run = Run(small(episodes=1), tmp_path)
+    recording.train(run)
+    games, path = (run.folder / "episodes.csv").read_bytes(), run.folder / name
+    if damage is None and name == "status.json":
+        path.unlink()
+        assert run.state() == "missing"
+    else:
+        path.unlink() if damage is None else path.write_text(damage)
+        with pytest.raises(RunError, match=rf"{name} is missing or damaged .*restore it, or move"):
+            run.state()
+        shutil.move(run.folder, tmp_path / "away")
+    recording.train(run)
+    assert run.state() == "complete"
+    assert (run.folder / "episodes.csv").read_bytes() == games
+
+
+def test_a_run_too_short_to_learn_anything_says_so(tmp_path, small):
+    run = Run(small(learning_starts=10_000, episodes=1), tmp_path)
+    with pytest.warns(UserWarning, match="has learned nothing: its 1 games are .* 10,000"):
+        recording.train(run)
+
+
+def test_a_gpu_that_is_not_there_is_refused_in_one_line(tmp_path, small, monkeypatch):
+    monkeypatch.setattr("torch.cuda.is_available", lambda: False)
+    with pytest.raises(params.ParameterError, match="device: 'cuda' is not allowed"):
+        recording.train(Run(small(device="cuda"), tmp_path))
+
+
 def test_a_transfer_run_starts_from_the_finished_model_it_names(tmp_path, small):
     transfer = small(experiment="transfer", game="breakout", initial_weights="small", episodes=1)
     run = Run(transfer, tmp_path)

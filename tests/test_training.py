@@ -9,8 +9,9 @@ import pytest
 import torch
 from conftest import SMALL
 
-from atari_dqn import checkpoints
+from atari_dqn import checkpoints, training
 from atari_dqn.agents import AGENTS
+from atari_dqn.exploration import epsilon_greedy
 from atari_dqn.params import Parameters
 from atari_dqn.training import Trainer
 
@@ -155,6 +156,30 @@ def test_updates_are_due_every_period_after_learning_starts(small):
     for _ in zip(range(40), trainer.run(), strict=False):
         assert trainer.learner.updates == max(0, trainer.agent_steps - 50) // 3
     assert trainer.agent_steps == 80
+
+
+def test_exploration_and_learning_rate_follow_the_games_finished_before(small, monkeypatch):
+    schedule = {"epsilon_start": 0.8, "epsilon_decay": 0.5, "epsilon_floor": 0.15}
+    warmup = {"warmup_games": 4, "warmup_learning_rate": 1e-5, "learning_rate": 5e-5}
+    trainer = Trainer(small(**schedule, **warmup, max_game_frames=100, update_period=1), "dqn", 1)
+    chances, rates, learn = {}, {}, trainer.learner.learn
+
+    def choose(q_values, probability, rng):
+        chances.setdefault(trainer.episodes, set()).add(probability)
+        return epsilon_greedy(q_values, probability, rng)
+
+    def update(batch, count):
+        rate = trainer.learner.optimiser.param_groups[0]["lr"]
+        rates.setdefault(trainer.episodes, set()).add(rate)
+        return learn(batch, count)
+
+    monkeypatch.setattr(training, "epsilon_greedy", choose)
+    monkeypatch.setattr(trainer.learner, "learn", update)
+    reported = [episode[5] for episode in episodes_after(trainer, 90)]
+    assert [chances[games] for games in range(5)] == [{0.8}, {0.4}, {0.2}, {0.15}, {0.15}]
+    assert reported[:5] == ["0.8", "0.4", "0.2", "0.15", "0.15"]
+    assert all(len(rates[games]) == 1 for games in range(2, 6))
+    assert [rates[games].pop() for games in range(2, 6)] == pytest.approx([3e-5, 4e-5, 5e-5, 5e-5])
 
 
 def test_nothing_depends_on_how_many_games_are_planned(small):

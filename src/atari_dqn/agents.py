@@ -196,7 +196,11 @@ def learning_rate(params: Parameters, games_finished: int) -> float:
 
 
 def torch_device(name: str) -> torch.device:
-    """`auto` is the GPU where there is one."""
+    """`auto` is the GPU where there is one. Raises ParameterError if there is none to be had."""
     if name == "auto":
         name = "cuda" if torch.cuda.is_available() else "cpu"
+    if name == "cuda" and not torch.cuda.is_available():
+        raise ParameterError(
+            "device: 'cuda' is not allowed: PyTorch finds no GPU here; auto and cpu work"
+        )
     return torch.device(name)

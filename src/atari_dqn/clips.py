@@ -30,6 +30,15 @@ def _newest(section: Section) -> list[tuple[Run, int]]:
     return [(run, max(run.models())) for run in section.usable if run.models()]
 
 
+def newest(section: Section) -> tuple[Run, int, nn.Module]:
+    """The newest model of a section's first stored run: the run, the games of training behind it,
+    the network. Raises RunError if there is none."""
+    for run, games in _newest(section):
+        return run, games, _network(run, games)
+    names = ", ".join(run.name for run in section.runs)
+    raise runs.RunError(f"no model is stored of {names}")
+
+
 def show_best(section: Section, label: str, seconds: int) -> None:
     """The first seconds of a game by the run that scored best of late."""
     stored = [(run, games) for run, games in _newest(section) if games]

@@ -64,5 +64,7 @@ def _stored(code: str, profile: str, results: Path) -> Iterator[Path]:
         if not re.search(rf"""["']{path.stem}["']|\bStudy\(""", code):
             continue
         yield path
+        if profile != "full":  # such a file says how it differs from the full one
+            yield path.parent.parent / path.name
         for run in runs.runs_of(params.load(path), results):
             yield from sorted(file for file in run.folder.rglob("[!.]*") if file.is_file())

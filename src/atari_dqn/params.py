@@ -257,8 +257,9 @@ def load(path: Path | str, overrides: dict[str, Any] | None = None) -> Parameter
     """
     path = Path(path)
     values = read_values(path)
-    full = path.parent.parent / path.name
-    if path.parent.name in PROFILES and full.exists():
+    folder = path.absolute().parent
+    full = folder.parent / path.name
+    if folder.name in PROFILES and full.exists():
         values = {**read_values(full), **values}
     named = values.setdefault("experiment", path.stem)
     if named != path.stem and path.name != STORED:
@@ -267,10 +268,10 @@ def load(path: Path | str, overrides: dict[str, Any] | None = None) -> Parameter
         )
     base = parse(values, str(path))
     changed = parse({**values, **(overrides or {})}, f"{path} with overrides")
-    if changed.experiment != base.experiment:
-        raise ParameterError(
-            f"experiment: {changed.experiment!r} is not allowed: {path} is {base.experiment!r}"
-        )
+    for key in ("experiment", "profile"):
+        now, was = getattr(changed, key), getattr(base, key)
+        if now != was:
+            raise ParameterError(f"{key}: {now!r} is not allowed: {path} is {was!r}")
     return _renamed(base, changed)
 
 
@@ -303,22 +304,40 @@ def resolve(values: dict[str, Any], folder: Path) -> Parameters:
     """Parameters from a notebook's values: `experiment` and `profile` name a file in `folder`
     (the project's params/), and the other values are put on top of it, as `load` does.
 
-    An experiment without a file there must bring all that differs from the defaults, and at least
-    one such value, lest a name that is spelt wrong trains something else.
+    An experiment without a file there must bring all that differs from the defaults, and name its
+    game, lest a name that is spelt wrong trains something else.
     """
     given = parse(values, "notebook parameters")
     profile = "" if given.profile == "full" else given.profile
     path = folder / profile / f"{given.experiment}.yaml"
     if path.exists():
+        _refuse_full_size(values, path)
         return load(path, values)
     names = [file.stem for file in folder.glob("*.yaml")]
     nearest = difflib.get_close_matches(given.experiment, names, n=1, cutoff=0.85)
-    why = f"did you mean {nearest[0]!r}?" if nearest else "no parameter of the training is given"
-    if nearest or set(values) <= NOT_TRAINING:
+    why = f"did you mean {nearest[0]!r}?" if nearest else "and no game is given"
+    if nearest or "game" not in values:
         raise ParameterError(
             f"experiment: {given.experiment!r} is not allowed: there is no {path}; {why}"
         )
     return given
+
+
+def _refuse_full_size(values: dict[str, Any], path: Path) -> None:
+    """Raises ParameterError if `values` undo what makes the file of a small profile small, as they
+    do if they come from the full file. The number of games may be anyone's choice."""
+    full = path.parent.parent / path.name
+    if path.parent.name not in PROFILES or not full.exists():
+        return
+    large = read_values(full)
+    changed = read_values(path).keys() - {"profile", "episodes"}
+    smaller = {key: large.get(key) for key in changed}
+    if smaller.items() <= values.items():
+        profile = path.parent.name
+        raise ParameterError(
+            f"profile: {profile!r} is not allowed beside the sizes of params/{full.name}: "
+            f"give params/{profile}/{path.name} instead"
+        )
 
 
 def pick(params: Parameters, agent: str | None, seed: int | None) -> Parameters:

@@ -180,21 +180,23 @@ def comparison(episodes: pd.DataFrame, facts: GameFacts, window: int, by: str) -
 
 
 def value_errors(values: pd.DataFrame) -> Figure:
-    """Predicted and realised values of the states of greedy games, against training games.
+    """Predicted and realised values of the states of greedy games, and the predicted ones of states
+    that stay the same, against training games.
 
-    `values` holds columns episode, predicted, realised and agent (`evaluation.ValueCheck`).
+    `values` holds columns episode, predicted, realised, held_out_q and agent
+    (`evaluation.ValueCheck`).
     """
     agents = agents_of(values)
     figure, panels = plt.subplots(1, len(agents), sharey=True, figsize=(WIDTH, 2.3), squeeze=False)
     for axes, agent in zip(panels[0], agents, strict=True):
         own = values[values.agent == agent]
         shared = {"x": "episode", "data": own, "ax": axes, "errorbar": None, "legend": False}
-        shared |= {"marker": "o", "ms": 3.5}
-        sns.lineplot(y="predicted", color=COLOURS[agent], lw=1.5, **shared)
-        sns.lineplot(y="realised", color="0.35", lw=1.2, ls="--", **shared)
+        sns.lineplot(y="predicted", color=COLOURS[agent], lw=1.5, marker="o", ms=3.5, **shared)
+        sns.lineplot(y="realised", color="0.35", lw=1.2, ls="--", marker="o", ms=3.5, **shared)
+        sns.lineplot(y="held_out_q", color=COLOURS[agent], lw=1.2, ls=":", **shared)
         axes.set(xlabel="games played", ylabel="value of a state")
         axes.set_title(AGENTS[agent].title, fontsize="medium", loc="left")
-    panels[0][0].legend(["predicted", "realised"], fontsize="small")
+    panels[0][0].legend(["predicted", "realised", "predicted, fixed states"], fontsize="small")
     return figure
 
 

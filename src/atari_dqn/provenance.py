@@ -1,18 +1,10 @@
 """Where the stored runs come from, and what they cost."""
 
-import json
-from typing import Any
-
 import pandas as pd
 
 from atari_dqn import runs
 from atari_dqn.runs import Run
 from atari_dqn.sections import Study
-
-
-def read(run: Run) -> dict[str, Any]:
-    """A stored run's provenance.json."""
-    return json.loads((run.folder / "provenance.json").read_bytes())
 
 
 def hours(run: Run) -> float:
@@ -22,7 +14,7 @@ def hours(run: Run) -> float:
 
 def peak_megabytes(run: Run) -> float:
     """The most memory that a process which trained the run has ever held; 0 if none noted it."""
-    sessions = read(run)["sessions"]
+    sessions = run.provenance()["sessions"]
     return max(session.get("peak_memory_megabytes", 0.0) for session in sessions)
 
 
@@ -38,7 +30,7 @@ def run_table(study: Study) -> pd.DataFrame:
         state = run.state()
         if state == runs.MISSING:
             continue
-        stored = read(run)
+        stored = run.provenance()
         last = stored["sessions"][-1]
         experiment, agent, _ = run.name.split("/")
         rows.append(

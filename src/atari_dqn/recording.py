@@ -267,6 +267,13 @@ class Recorder:
     def finish(self, stopped: Callable[[], bool]) -> None:
         """Publishes the model, plays the final evaluation and marks the run complete."""
         folder, parameters = self.run.folder, self.run.params
+        if not self.trainer.learner.updates:
+            warnings.warn(
+                f"{self.run.name} has learned nothing: its {self.episodes} games are "
+                f"{self.trainer.agent_steps:,} agent steps, and learning_starts is "
+                f"{parameters.learning_starts:,}",
+                stacklevel=2,
+            )
         path = self.publish()
         network = evaluation.load_model(path, parameters)
         settings, games = evaluation.conditions(parameters), parameters.evaluation_games

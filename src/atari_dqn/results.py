@@ -4,6 +4,7 @@ import numpy as np
 import pandas as pd
 
 from atari_dqn import plots, runs
+from atari_dqn.evaluation import HELD_OUT_STATES
 from atari_dqn.exhibits import hold_places, show_absent, show_figure, show_table, show_text
 from atari_dqn.sections import Section, data
 from atari_dqn.statistics import MARKS, interval, scores_at_marks
@@ -205,10 +206,11 @@ def show_values(section: Section) -> None:
         plots.value_errors(section.values),
         label=label,
         caption=f"{section.facts.title}, `{section.params.experiment}`: the value that the "
-        "network predicts for the states of four greedy games, and the discounted clipped "
-        "return (the sum of reward signs, discounted) that followed them, every 100 training "
-        "games. Where the prediction lies above what followed, the network overestimates. A point "
-        f"is four games, so that single dips mean little ({section.counted()}).",
+        "network predicts for the states of four greedy games, and the discounted return that "
+        "followed them, in rewards as the agent learns from them, every 100 training games. Where "
+        "the prediction lies above what followed, the network overestimates. A point is four "
+        "games, so that single dips mean little. Dotted: the prediction for "
+        f"{HELD_OUT_STATES} states of random play, always the same ({section.counted()}).",
         alt="Predicted and realised values of states against training games, a panel an agent.",
         data=section.origin + "values.csv",
     )

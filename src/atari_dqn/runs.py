@@ -142,12 +142,26 @@ class Run:
         return dict(sorted(stored.items()))
 
     def status(self) -> dict[str, Any]:
-        return json.loads((self.folder / "status.json").read_bytes())
+        """What status.json holds. Raises RunError if it is damaged, as `provenance` does."""
+        return self._stored("status.json")
+
+    def provenance(self) -> dict[str, Any]:
+        """Where the stored run comes from."""
+        return self._stored("provenance.json")
+
+    def _stored(self, name: str) -> dict[str, Any]:
+        path = self.folder / name
+        try:
+            return json.loads(path.read_bytes())
+        except (OSError, ValueError) as error:
+            raise RunError(
+                f"{path} is missing or damaged ({error}); restore it, or move {self.folder} away: "
+                "a run that has a checkpoint comes back whole"
+            ) from None
 
     def changes(self) -> list[str]:
         """How the stored run differs from what `params` ask for now; empty if it matches."""
-        provenance = json.loads((self.folder / "provenance.json").read_bytes())
-        changes = []
+        provenance, changes = self.provenance(), []
         if provenance["training_version"] != TRAINING_VERSION:
             was = provenance["training_version"]
             changes.append(f"training version {was}, now {TRAINING_VERSION}")

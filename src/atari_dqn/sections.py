@@ -46,11 +46,16 @@ def run_from_notebook(values: dict[str, Any]) -> Run:
     """The run that experiment.ipynb's parameters describe.
 
     `agent`, `seed` and `results_dir` are the notebook's own; everything else must be a training
-    parameter. Raises ParameterError.
+    parameter. Raises ParameterError, also for an experiment of several variations.
     """
     values = dict(values)
     agent, seed, results = (values.pop(name, None) for name in ("agent", "seed", "results_dir"))
     resolved = params.resolve(values, runs.project_root() / "params")
+    if resolved.variations:
+        raise ParameterError(
+            f"experiment: {resolved.experiment!r} is not allowed: it has variations, which are "
+            "several runs; `python -m atari_dqn experiments run` trains them"
+        )
     agent = resolved.agents[0] if agent is None else agent
     seed = resolved.seeds[0] if seed is None else seed
     return Run(params.pick(resolved, agent, seed), runs.results_folder(resolved.profile, results))
