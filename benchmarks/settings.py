@@ -3,8 +3,9 @@
     python benchmarks/settings.py [--minutes 60] [--best-minutes 180]
 
 Every variation in settings.yaml is trained for the same processor time, one process a core, and
-plays 50 greedy games after every 20 minutes of it; the two that score best go on. Scores while
-training do not compare, since epsilon falls with the games finished. Writes settings.csv (a row an
+plays 50 greedy games after every 20 minutes of it; the two that score best go on, and the first of
+the file with them, to compare with. Scores while training compare at the same epsilon only, which
+falls with the games finished. Writes settings.csv (a row an
 evaluation; the first is random play) and settings_training.csv (a row a training game) into
 results/benchmarks/. Checkpoints are kept: the same command continues what was stopped, and more
 minutes lengthen it. Single runs: indications.
@@ -154,7 +155,8 @@ def main() -> None:
 
         try:
             train(setups, chosen.minutes)
-            train(best_after(chosen.minutes, collected("evaluations")), chosen.best_minutes)
+            best = best_after(chosen.minutes, collected("evaluations"))
+            train(dict.fromkeys([*best, next(iter(setups))]), chosen.best_minutes)
         except BaseException:  # the pool would finish all that is queued first
             for process in multiprocessing.active_children():
                 process.terminate()

@@ -56,7 +56,13 @@ def evaluated(setup, scores):
     """Rows of settings.csv: an evaluation every 20 minutes of processor time."""
     return [
         {"setup": setup, "cpu_minutes": 20.0 * number, "agent_steps": 100, "updates": 10}
-        | {"training_games": 1, "games": 50, "score": score, "low": score - 1, "high": score + 1}
+        | {
+            "training_games": 100 * number,
+            "games": 50,
+            "score": score,
+            "low": score - 1,
+            "high": score + 1,
+        }
         for number, score in enumerate(scores, start=1)
     ]
 
@@ -73,19 +79,19 @@ STUDY = pd.DataFrame(
 
 
 def trained(setup, games, score):
-    """Rows of settings_training.csv: the first 40 games score less, those after 90 more."""
+    """Rows of settings_training.csv: the last 50 games score differently from those before."""
     return [
-        {"setup": setup, "episode": game, "score": score * (game > 40) + 100 * (game > 90)}
+        {"setup": setup, "episode": game, "epsilon": 1 / game, "score": score * (game > games - 50)}
         for game in range(1, games + 1)
     ]
 
 
 GAMES = pd.DataFrame(
     [
-        *trained("steady", 90, 6.0),
-        *trained("lucky once", 100, 4.0),
-        *trained("second", 300, 2.0),
-        *trained("early", 91, 8.0),
+        *trained("steady", 300, 6.0),
+        *trained("lucky once", 300, 4.0),
+        *trained("second", 400, 2.0),
+        *trained("early", 300, 8.0),
     ]
 )
 
@@ -94,22 +100,46 @@ def test_the_two_best_set_ups_are_those_of_the_last_two_evaluations_in_the_commo
     assert settings.best_after(60, STUDY.iloc[1:]) == ["steady", "second"]
 
 
-def test_the_settings_are_shown_after_the_same_time_and_after_the_same_games(tmp_path, monkeypatch):
+@pytest.fixture
+def shown(tmp_path, monkeypatch):
+    """The tables and the sentences of the stored study."""
     folder = tmp_path / cost.FOLDER
     folder.mkdir(parents=True)
     STUDY.to_csv(folder / "settings.csv", index=False)
     GAMES.to_csv(folder / "settings_training.csv", index=False)
-    tables = []
+    found = {"tables": [], "texts": []}
     monkeypatch.setattr(cost.runs, "project_root", lambda: tmp_path)
     monkeypatch.setattr(cost, "show_figure", lambda *_, **__: None)
-    monkeypatch.setattr(cost, "show_table", lambda table, **_: tables.append(table))
+    monkeypatch.setattr(cost, "show_table", lambda table, **_: found["tables"].append(table))
+    monkeypatch.setattr(cost, "show_text", found["texts"].append)
+    return found
+
+
+def test_the_settings_are_shown_after_the_same_time_and_then_those_that_went_on(shown):
     cost.show_settings()
-    (table,) = tables
+    (table,) = shown["tables"]
     assert table.setting.tolist() == [
         *("random play", "steady", "lucky once", "second", "early"),
         "second",
     ]
     assert table.minutes.tolist()[1:] == [60, 60, 60, 60, 80]
-    assert table.score.tolist() == [1, 24, 26, 30, 1, 90]
-    assert table["while training"].tolist()[1:5] == [6, 4, 2, 8]  # games 41 to 90
-    assert table["while training"].isna().tolist() == [True, False, False, False, False, True]
+    scores = [float(text.split(" (")[0]) for text in table["greedy score"]]
+    assert scores == [1, 24, 26, 30, 1, 90]
+    assert table["greedy score"].iloc[-1] == "90.0 (89.0 to 91.0)"
+    assert table["last 50"].tolist()[1:] == [6, 4, 0, 8, 2]
+    assert table.epsilon.tolist() == ["–", "0.00", "0.00", "0.00", "0.00", "0.00"]
+    (reading,) = [text for text in shown["texts"] if text]
+    assert "lie 29.0 points apart. That of one and the same run moves by up to 79.0" in reading
+    assert "too much to tell one setting from another" in reading
+
+
+def test_the_unchanged_set_up_is_told_to_be_the_main_run_only_if_its_games_are(shown, tmp_path):
+    run = tmp_path / "results" / "runs" / "boxing_final" / "double_dqn" / "seed-1"
+    run.mkdir(parents=True)
+    own = GAMES[GAMES.setup == "steady"]
+    own.head(280).to_csv(run / "episodes.csv", index=False)
+    cost.show_settings()
+    assert "each of the 280 training games that both have played" in shown["texts"].pop()
+    own.head(280).assign(score=1).to_csv(run / "episodes.csv", index=False)
+    cost.show_settings()
+    assert not shown["texts"].pop()

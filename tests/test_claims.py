@@ -23,6 +23,7 @@ def store(results, experiment, agent, scores):
     run.folder.mkdir(parents=True, exist_ok=True)
     games = np.arange(1, len(scores) + 1)
     table = pd.DataFrame({"episode": games, "frames": games * 7000, "score": scores})
+    table["epsilon"] = 0.22
     table.to_csv(run.folder / "episodes.csv", index=False)
     table.assign(seconds=games * 5.0)[["episode", "seconds"]].to_csv(
         run.folder / "timing.csv", index=False
@@ -166,15 +167,71 @@ def test_only_dqn_is_human_in_breakout_falls_with_a_better_double_dqn(tmp_path):
 
 def test_a_reading_tells_where_a_run_stands_and_when_it_passed_the_human_score(tmp_path):
     curve = np.concatenate([np.linspace(0, 24.1, 200), np.full(100, 20.0)])
-    run = store(tmp_path, "boxing_final", "dqn", curve)
-    table = pd.read_csv(run.folder / "episodes.csv").assign(epsilon=0.22)
-    table.to_csv(run.folder / "episodes.csv", index=False)
+    store(tmp_path, "boxing_final", "dqn", curve)
     text = summaries.reading(Study("full", str(tmp_path)), "boxing_final")
     mean = pd.Series(curve).rolling(100).mean()
     passed = int(mean.gt(12.1).idxmax()) + 1
     assert "DQN scores 20.0 points a game over the last 100 of 300 games, 22% of its" in text
     assert f"first passed the human 12.1 after game {passed};" in text
     assert "claims 1, 2, 3, 4 are still open" in text
+
+
+def test_a_reading_puts_the_source_reports_scores_beside_ours_at_the_last_common_mark(tmp_path):
+    store(tmp_path, "boxing_final", "dqn", np.full(1100, 60.0))
+    store(tmp_path, "boxing_final", "double_dqn", np.full(600, 20.0))
+    study = Study("full", str(tmp_path))
+    expected = (
+        "where both are known: DQN 60.0 and 51.6 (games 501 to 1,000), "
+        "Double DQN 20.0 and 29.0 (games 1 to 500)."
+    )
+    for text in (summaries.reading(study, "boxing_final"), summaries.conclusion(study)):
+        assert expected in text
+        assert "does not say how often its network was updated" in text
+    store(tmp_path, "boxing_final", "double_dqn", np.full(600, 40.0))
+    text = summaries.reading(Study("full", str(tmp_path)), "boxing_final")
+    assert "Double DQN 40.0 and 29.0" in text
+    assert "updated" not in text, "where ours are not below"
+
+
+def test_an_agent_that_has_just_begun_is_named_and_compared_with_nobody(tmp_path):
+    store(tmp_path, "boxing_final", "dqn", np.full(700, 5.0))
+    store(tmp_path, "boxing_final", "double_dqn", np.full(600, 9.0))
+    store(tmp_path, "boxing_final", "dueling_double_dqn", np.full(120, 50.0))
+    study = Study("full", str(tmp_path))
+    assert (
+        "After 600 games of Boxing the agent with the most points so far, Double DQN, scores 9.0"
+        in (summaries.headline(study))
+    )
+    assert "Double DQN 9.0, DQN 5.0" in summaries.conclusion(study)
+    assert "Dueling Double DQN has played 120 games only" in summaries.conclusion(study)
+
+
+def test_finished_runs_are_told_of_as_finished(tmp_path):
+    for agent, mean in (("dqn", 80.0), ("double_dqn", 90.0), ("dueling_double_dqn", 85.0)):
+        run = store(tmp_path, "boxing_final", agent, np.full(3000, mean))
+        evaluate(run, score=mean)
+    study = Study("full", str(tmp_path))
+    headline = summaries.headline(study)
+    assert "Double DQN ends highest: 90.0 points a game over the last 500 of 3,000" in headline
+    reading = summaries.reading(study, "boxing_final")
+    scored = pd.read_csv(run.folder / "evaluations.csv").score.mean()
+    said = f"Playing 40 games greedily after 3,000 of training, it scored {scored:.1f}"
+    assert said in reading
+    assert "so far" not in headline.split("Of 16 claims")[0] + reading
+
+
+def test_at_another_difficulty_no_human_score_is_passed(tmp_path):
+    store(tmp_path, "boxing_expert", "dqn", np.full(600, 60.0))
+    text = summaries.reading(Study("full", str(tmp_path)), "boxing_expert")
+    assert "DQN scores 60.0" in text
+    assert "human" not in text
+
+
+def test_an_interpretation_gets_no_verdict_but_its_premise_does(tmp_path):
+    for agent, mean in (("dqn", 80.0), ("double_dqn", 60.0), ("dueling_double_dqn", 70.0)):
+        store(tmp_path, "boxing_final", agent, scores(mean))
+    found = claims.interpretations(Study("full", str(tmp_path))).verdict.tolist()
+    assert found[:2] == ["premise fails", "premise holds"]
 
 
 def evaluate(run, trained=None, **columns):

@@ -5,7 +5,7 @@ from torch import nn
 
 from atari_dqn import evaluation, films, runs
 from atari_dqn.agents import AGENTS
-from atari_dqn.exhibits import hold_places, show_film
+from atari_dqn.exhibits import hold_places, show_absent, show_film
 from atari_dqn.films import Film
 from atari_dqn.runs import Run
 from atari_dqn.sections import Section
@@ -114,12 +114,17 @@ def show_knockout(section: Section, label: str) -> None:
     if won.empty:
         hold_places(label)
         return
-    game = won.iloc[0]
+    stored = {(run.agent, run.seed, games) for run in section.usable for games in run.models()}
+    keys = list(zip(won.agent, won.seed, won.trained_games, strict=True))
+    shown = [place for place, key in enumerate(keys) if key in stored]
+    if not shown:
+        show_absent(
+            label, "A film of a knock-out follows: those so far are of weights replaced since."
+        )
+        return
+    game = won.iloc[shown[0]]
     run = next(run for run in section.runs if (run.agent, run.seed) == (game.agent, game.seed))
     games = int(game.trained_games)
-    if games not in run.models():  # training has gone on since
-        hold_places(label)
-        return
     title = f"{runs.title(run.agent)}, {games:,} games"
     network, number = _network(run, games), int(game.game)
     film = films.play_with_instruments(network, run.params, title, run.seed, number, (-15, None))

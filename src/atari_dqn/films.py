@@ -428,9 +428,9 @@ def _strip(
     with mpl.rc_context():
         plots.style()
         figure = Figure(figsize=(plots.WIDTH, 1 / inch), layout="none")
-        room = {"left": 0.095, "right": 0.99, "top": 1 - 0.25 * inch, "bottom": 1.65 * inch}
+        room = {"left": 0.095, "right": 0.98, "top": 1 - 0.25 * inch, "bottom": 1.65 * inch}
         grid = figure.add_gridspec(rows, STRIP, **room, wspace=0.06, hspace=0.2)
-        course = figure.add_axes((0.095, 0.42 * inch, 0.895, 0.75 * inch))
+        course = figure.add_axes((0.095, 0.42 * inch, 0.885, 0.75 * inch))
         styles = zip(plots.COLOURS.values(), ("-", "--", ":"), strict=True)
         for row, ((name, game), (colour, line)) in enumerate(
             zip(recordings.items(), cycle(styles), strict=False)

@@ -86,7 +86,7 @@ def learning_curves(
     titles = [AGENTS[name].title for name in names]
     games.legend(handles, titles, loc="lower left", bbox_to_anchor=(0, 1), ncols=len(titles))
     games.set(xlabel="games played", ylabel=f"score, mean of {window} games")
-    panels["hours"].set(xlabel="hours on one core", ylabel="")
+    panels["hours"].set(xlabel="hours by the clock", ylabel="")
     if published:
         _published(panels["frames"], published, float(curves.frames.max()))
     panels["frames"].set(xlabel="million frames", ylabel="score")
@@ -101,16 +101,17 @@ def agents_of(table: pd.DataFrame) -> list[str]:
 
 
 def _reference_lines(axes: Axes, facts: GameFacts, named: bool) -> None:
-    for score, name in ((facts.human, "human"), (facts.random, "random play")):
+    # the human score's name where curves are still low
+    for score, name, side in ((facts.human, "human", 0), (facts.random, "random play", 1)):
         axes.axhline(score, color="0.45", lw=0.8, ls=":")
         if named:
             axes.annotate(
                 f"{name} {score:g}",
-                (1, score),
+                (side, score),
                 xycoords=("axes fraction", "data"),
-                xytext=(-2, 2),
+                xytext=(2 - 4 * side, 2),
                 textcoords="offset points",
-                ha="right",
+                ha="right" if side else "left",
                 va="bottom",
                 color="0.35",
                 fontsize="small",
@@ -180,8 +181,8 @@ def comparison(episodes: pd.DataFrame, facts: GameFacts, window: int, by: str) -
 
 
 def value_errors(values: pd.DataFrame) -> Figure:
-    """Predicted and realised values of the states of greedy games, and the predicted ones of states
-    that stay the same, against training games.
+    """Predicted (solid) and realised values (dashed) of the states of greedy games, and the
+    predicted ones of states that stay the same (dotted), against training games.
 
     `values` holds columns episode, predicted, realised, held_out_q and agent
     (`evaluation.ValueCheck`).
@@ -196,7 +197,6 @@ def value_errors(values: pd.DataFrame) -> Figure:
         sns.lineplot(y="held_out_q", color=COLOURS[agent], lw=1.2, ls=":", **shared)
         axes.set(xlabel="games played", ylabel="value of a state")
         axes.set_title(AGENTS[agent].title, fontsize="medium", loc="left")
-    panels[0][0].legend(["predicted", "realised", "predicted, fixed states"], fontsize="small")
     return figure
 
 

@@ -24,7 +24,7 @@ def _last(run: Run, file: str, column: str) -> float:
 
 
 def run_table(study: Study) -> pd.DataFrame:
-    """A row a stored run: state, games, agent steps, hours, resumes, commit, parameters' hash."""
+    """A row a stored run: state, games, agent steps, hours, resumes, commits, parameters' hash."""
     rows = []
     for run in study.runs:
         state = run.state()
@@ -32,6 +32,7 @@ def run_table(study: Study) -> pd.DataFrame:
             continue
         stored = run.provenance()
         last = stored["sessions"][-1]
+        commits = [_short(session["commit"]) for session in stored["sessions"]]
         experiment, agent, _ = run.name.split("/")
         rows.append(
             {
@@ -44,9 +45,14 @@ def run_table(study: Study) -> pd.DataFrame:
                 "hours": hours(run),
                 "resumes": stored["resumes"],
                 "processor": last["processor"],
-                "commit": f"`{last['commit'][:8]}`",
+                "commits": ", ".join(dict.fromkeys(commits)),
                 "hash": f"`{stored['identity'][:8]}`",
             }
         )
     columns = ["experiment", "agent", "seed", "state", "games", "agent steps", "hours", "resumes"]
-    return pd.DataFrame(rows, columns=[*columns, "processor", "commit", "hash"])
+    return pd.DataFrame(rows, columns=[*columns, "processor", "commits", "hash"])
+
+
+def _short(commit: str) -> str:
+    """A commit's first digits, with a + if files differed from it."""
+    return f"`{commit[:8]}{'+' * commit.endswith('+')}`"

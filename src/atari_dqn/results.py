@@ -24,9 +24,12 @@ def show_curves(section: Section) -> None:
     game = section.params.game
     published = data("published")
     points = {"frames": published["frames"], **published[game]}
-    default = section.params.difficulty == 0  # which is what others have played
     figure, hover = plots.learning_curves(
-        section.episodes, facts, window, points if default else None
+        section.episodes, facts, window, points if section.usual else None
+    )
+    references = (
+        " Dotted: a human tester and random play; the marks are agents trained with sticky "
+        "actions [@dopamine2018]."
     )
     show_figure(
         figure,
@@ -34,8 +37,7 @@ def show_curves(section: Section) -> None:
         caption=f"{facts.title}, `{section.params.experiment}`: raw score while training, with "
         f"exploration, against games, frames and hours (by the clock, on a machine that had other "
         f"work at times); each point is the mean of the last {window} games "
-        f"({section.counted()}). Dotted: a human tester and random play. Without sticky actions"
-        + ("; the marks are agents trained with them [@dopamine2018]." if default else "."),
+        f"({section.counted()}). Without sticky actions." + references * section.usual,
         alt=f"Learning curves of the agents in {facts.title}: mean score against games played, "
         "frames and hours.",
         data=section.origin + "episodes.csv and timing.csv",
@@ -71,8 +73,9 @@ def show_marks(section: Section) -> None:
         table.rename(columns={"seed": "whose"}),
         label=label,
         caption=f"{facts.title}, `{section.params.experiment}`: mean raw score of "
-        f"{section.mark_window} games up to each number of games played ({section.counted()}). "
-        f"Human {facts.human:g}, random play {facts.random:g} [@dqnzoo2020].",
+        f"{section.mark_window} games up to each number of games played ({section.counted()})."
+        + f" Human {facts.human:g}, random play {facts.random:g} [@dqnzoo2020]."
+        * section.usual,
     )
 
 
@@ -206,10 +209,10 @@ def show_values(section: Section) -> None:
         plots.value_errors(section.values),
         label=label,
         caption=f"{section.facts.title}, `{section.params.experiment}`: the value that the "
-        "network predicts for the states of four greedy games, and the discounted return that "
-        "followed them, in rewards as the agent learns from them, every 100 training games. Where "
-        "the prediction lies above what followed, the network overestimates. A point is four "
-        "games, so that single dips mean little. Dotted: the prediction for "
+        "network predicts for the states of four greedy games (solid), and the discounted return "
+        "that followed them, in rewards as the agent learns from them (dashed), every 100 training "
+        "games. Where the prediction lies above what followed, the network overestimates. A point "
+        "is four games, so that single dips mean little. Dotted: the prediction for "
         f"{HELD_OUT_STATES} states of random play, always the same ({section.counted()}).",
         alt="Predicted and realised values of states against training games, a panel an agent.",
         data=section.origin + "values.csv",

@@ -170,6 +170,11 @@ class Section:
         return table if table.empty else table[table.trained_games >= self.params.episodes]
 
     @property
+    def usual(self) -> bool:
+        """Whether the game is played as others have played it, so that scores compare."""
+        return self.params.difficulty == 0
+
+    @property
     def share(self) -> float:
         """Games played, of those planned."""
         wanted = len(self.runs) * self.params.episodes

@@ -4,12 +4,12 @@ import pandas as pd
 
 from atari_dqn import runs
 from atari_dqn.claims import FINDINGS, findings
-from atari_dqn.sections import Section, Study
-from atari_dqn.statistics import trailing_mean
+from atari_dqn.sections import Section, Study, data
+from atari_dqn.statistics import MARKS, trailing_mean
 from atari_dqn.verdicts import NOT_YET
 
 EARLY = 500  # games, before which an agent still acts mostly at random
-RECENT = 100  # games, of which a run's present score is the mean
+RECENT = 100  # games, of which the present score of a run in progress is the mean
 
 
 def headline(study: Study) -> str:
@@ -18,36 +18,57 @@ def headline(study: Study) -> str:
     judged = findings(study).verdict.value_counts()
     done = judged.drop(NOT_YET, errors="ignore")
     games, means = _recent(section)
-    if games < min(EARLY, section.params.episodes):
+    if not games:
         played, planned = _played(study)
         text = f"Training has only begun: {played:,} of {planned:,} planned games are played."
     else:
-        level = "above" if means.iloc[0] > section.facts.human else "below"
-        text = (
-            f"After {games:,} games of Boxing the agent with the most points so far, "
-            f"{means.index[0]}, scores {means.iloc[0]:.1f} a game while still exploring, {level} "
-            f"the human reference of {section.facts.human:g} (random play: "
-            f"{section.facts.random:g})."
-        )
+        best, mean, facts = means.index[0], means.iloc[0], section.facts
+        if section.complete:
+            text = (
+                f"Of the agents in Boxing {best} ends highest: {mean:.1f} points a game over the "
+                f"last {_window(section)} of {games:,} training games"
+            )
+        else:
+            text = (
+                f"After {games:,} games of Boxing the agent with the most points so far, {best}, "
+                f"scores {mean:.1f} a game while still exploring"
+            )
+        level = "above" if mean > facts.human else "below"
+        text += f", {level} the human reference of {facts.human:g} (random play: {facts.random:g})."
     claims = f"{judged.sum()} claims of the source report that runs can judge"
     if done.empty:
         return f"**{text}** Of {claims}, none is judged yet."
     counted = ", ".join(f"{number} {verdict}" for verdict, number in done.items())
-    return f"**{text}** Of {claims}, {done.sum()} are judged so far ({counted})."
+    so_far = " so far" if NOT_YET in judged else ""
+    return f"**{text}** Of {claims}, {done.sum()} are judged{so_far} ({counted})."
+
+
+def _window(section: Section) -> int:
+    """How many games a present score is the mean of: of finished runs as many as the claims are
+    about."""
+    return section.mark_window if section.complete else min(RECENT, section.params.episodes)
+
+
+def _played_by(section: Section) -> pd.Series:
+    """Training games of each agent, by title: those that all its seeds have played."""
+    if section.episodes.empty:
+        return pd.Series(dtype=int)
+    games = section.episodes.groupby(["agent", "seed"]).episode.max().groupby("agent").min()
+    return games.rename(index=runs.title)
 
 
 def _recent(section: Section) -> tuple[int, pd.Series]:
-    """How many games all agents that have begun have played, and each one's mean score over the
-    last `RECENT` of these, the best first; 0 games and no scores if too few are played."""
+    """How many games the agents have all played, and each one's mean score over the last of these,
+    the best first; without those that are in their early games. 0 games if all are."""
+    played = _played_by(section)
+    played = played[played >= min(EARLY, section.params.episodes)]
+    if played.empty:
+        return 0, pd.Series(dtype=float)
+    games = int(played.min())
     episodes = section.episodes
-    if episodes.empty:
-        return 0, pd.Series(dtype=float)
-    games = int(episodes.groupby(["agent", "seed"]).episode.max().min())
-    if games < min(RECENT, section.params.episodes):
-        return 0, pd.Series(dtype=float)
-    recent = episodes[episodes.episode.between(games - RECENT + 1, games)]
-    means = recent.groupby("agent").score.mean().sort_values(ascending=False)
-    return games, means.rename(index=runs.title)
+    recent = episodes[episodes.episode.between(games - _window(section) + 1, games)]
+    means = recent.groupby("agent").score.mean().rename(index=runs.title)
+    return games, means[played.index].sort_values(ascending=False)
 
 
 def _played(study: Study) -> tuple[int, int]:
@@ -63,16 +84,18 @@ def conclusion(study: Study) -> str:
     for name in ("boxing_final", "breakout_final"):
         section = study[name]
         games, means = _recent(section)
-        if games < min(EARLY, section.params.episodes):
+        if not games:
             continue
         scores = ", ".join(f"{agent} {mean:.1f}" for agent, mean in means.items())
-        text = f"In {section.facts.title}, mean scores over the last {min(RECENT, games)} of "
+        text = f"In {section.facts.title}, mean scores over the last {_window(section)} of "
         text += f"{games:,} games are {scores} (human {section.facts.human:g})."
-        missing = [runs.title(agent) for agent in section.params.agents]
-        missing = [agent for agent in missing if agent not in means]
-        if missing:
-            text += f" {' and '.join(missing)} {'has' if len(missing) == 1 else 'have'} not begun."
-        said.append(text)
+        played = _played_by(section)
+        for agent in map(runs.title, section.params.agents):
+            if agent not in played:
+                text += f" {agent} has not begun."
+            elif agent not in means:
+                text += f" {agent} has played {played[agent]:,} games only."
+        said.append(f"{text} {beside_source(section)}".strip())
     if not said:
         played, planned = _played(study)
         said.append(
@@ -95,10 +118,10 @@ def cards(study: Study) -> str:
     numbers = [
         (
             f"{means.iloc[0]:.1f}",
-            f"points in Boxing: {means.index[0]}, mean of {min(RECENT, games)} training games",
+            f"points in Boxing: {means.index[0]}, mean of {_window(section)} training games",
         )
         if games
-        else ("–", f"points in Boxing: not all agents begun have played {RECENT} games"),
+        else ("–", f"points in Boxing: no agent has played {EARLY} games"),
         (f"{section.facts.human:g}", "points: a human tester's mean"),
         (f"{_played(study)[0]:,}", "training games stored"),
         (f"{(judged != NOT_YET).sum()} of {len(judged)}", "claims of the source report judged"),
@@ -117,9 +140,11 @@ def reading(study: Study, experiment: str) -> str:
     if not section.episodes.empty:
         for (agent, seed), games in section.episodes.groupby(["agent", "seed"], sort=False):
             seeds = f", seed {seed}" if len(section.params.seeds) > 1 else ""
-            own = section.values
-            checks = own[(own.agent == agent) & (own.seed == seed)] if not own.empty else own
-            lines.append(f"- {runs.title(str(agent))}{seeds}{_progress(section, games, checks)}.")
+            greedy = [_of(table, agent, seed) for table in (section.evaluations, section.values)]
+            said = _progress(section, games) + _without_exploring(*greedy)
+            lines.append(f"- {runs.title(str(agent))}{seeds}{said}.")
+        if beside := beside_source(section):
+            lines.append(f"- {beside}")
     waiting = []
     for number, claim in enumerate(FINDINGS, start=1):
         if experiment not in claim.experiments:
@@ -139,9 +164,13 @@ def reading(study: Study, experiment: str) -> str:
     return f"{head}\n\n" + "\n".join(lines)
 
 
-def _progress(section: Section, games: pd.DataFrame, checks: pd.DataFrame) -> str:
-    """How a run has gone: where it stands, when it passed the human score, how steady it was, and
-    what it scores without random moves."""
+def _of(table: pd.DataFrame, agent: object, seed: object) -> pd.DataFrame:
+    """The rows of one run."""
+    return table if table.empty else table[(table.agent == agent) & (table.seed == seed)]
+
+
+def _progress(section: Section, games: pd.DataFrame) -> str:
+    """How a run has gone: where it stands, when it passed the human score, how steady it was."""
     window, human = min(RECENT, section.params.episodes), section.facts.human
     number = int(games.episode.max())
     means = trailing_mean(games.set_index("episode").score, window).dropna()
@@ -152,15 +181,49 @@ def _progress(section: Section, games: pd.DataFrame, checks: pd.DataFrame) -> st
         f"{games.epsilon.iloc[-1]:.0%} of its actions being random"
     )
     above = means[means > human]
-    if len(above):
+    if len(above) and section.usual:
         text += f"; the mean of {window} games first passed the human {human:g} after game "
         text += f"{above.index[0]:,}"
     fall = (means.cummax() - means).max()
-    text += f"; the largest drop of that mean so far is {fall:.1f} points"
-    if not checks.empty:
-        last = checks.iloc[-1]
-        text += f". Playing greedily after {last.episode:,.0f} games, it scored {last.score:.1f} "
-        text += "(four games)"
+    so_far = "" if number >= section.params.episodes else " so far"
+    return f"{text}; the largest drop of that mean{so_far} is {fall:.1f} points"
+
+
+def _without_exploring(evaluated: pd.DataFrame, checks: pd.DataFrame) -> str:
+    """What a run scores without random moves: evaluated, or in the few greedy games along the
+    way."""
+    if not evaluated.empty:
+        games, count = evaluated.trained_games.max(), f"{len(evaluated)}"
+    elif not checks.empty:
+        games, count, evaluated = checks.episode.max(), "four", checks.tail(1)
+    else:
+        return ""
+    score = evaluated.score.mean()
+    return f". Playing {count} games greedily after {games:,} of training, it scored {score:.1f}"
+
+
+def beside_source(section: Section) -> str:
+    """The scores of the source report beside ours, at the last mark that both have; empty if there
+    is none."""
+    source, said, less = data("source_report"), [], False
+    theirs = source.get(section.params.experiment, {})
+    for agent, marks in theirs.items() if section.params.episodes == MARKS[-1] else ():
+        for mark, score in reversed(list(zip(source["marks"], marks, strict=True))):
+            first = mark - section.mark_window + 1
+            ours = section.scores(agent, first, mark)
+            if score is not None and len(ours):
+                games = f"games {first:,} to {mark:,}"
+                said.append(f"{runs.title(agent)} {ours.mean():.1f} and {score:.1f} ({games})")
+                less |= ours.mean() < score
+                break
+    if not said:
+        return ""
+    text = f"Our scores and the source report's, where both are known: {', '.join(said)}."
+    if less:
+        text += (
+            " (It does not say how often its network was updated, which decides how much is "
+            f"learned in a game; ours is every {section.params.update_period} agent steps.)"
+        )
     return text
 
 
