@@ -12,7 +12,7 @@ import nbformat
 import papermill
 import pytest
 
-from atari_dqn import experiments, params, report, runs, sections
+from atari_dqn import clips, experiments, params, report, runs, sections
 
 ROOT = Path(__file__).parents[1]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
@@ -113,8 +113,9 @@ def test_the_exploring_notebook_plays_a_stored_agent(built, tmp_path):
     parameters = {"profile": "smoke", "results_dir": str(built.parent)}
     played = execute(tmp_path / "out.ipynb", parameters, ROOT, "explore").cells[-1].outputs
     assert "difficulty" in played[-1].data["text/plain"]
-    with pytest.raises(papermill.PapermillExecutionError, match="no model is stored of boxing_fin"):
-        execute(tmp_path / "out.ipynb", {"profile": "full", "seed": 77}, ROOT, "explore")
+    empty = sections.Section("boxing_final", "smoke", str(tmp_path), ["dqn"], [77])
+    with pytest.raises(runs.RunError, match="no model is stored of boxing_final/dqn/seed-77"):
+        clips.newest(empty)
 
 
 def test_figures_say_where_they_come_from_and_curves_show_their_values(built):
