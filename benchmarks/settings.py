@@ -36,7 +36,7 @@ from atari_dqn.training import Trainer, prepare_process
 GAMES = 50  # of each evaluation
 SLICE = 5 * 60.0  # seconds of processor time between checkpoints
 SLICES = 4  # between evaluations
-BEST = 2  # variations that are trained for longer
+BEST = 2  # variations that go on, the unchanged one besides
 
 
 def measure(label: str, parameters: Parameters, minutes: int, state: Path) -> dict[str, Any]:
@@ -105,19 +105,19 @@ def random_play(parameters: Parameters) -> dict[str, Any]:
     return {"setup": "random play", **evaluate(network, guessing)}
 
 
-def best_after(minutes: int, evaluations: pd.DataFrame) -> list[str]:
-    """The variations that scored best by then: the mean of two evaluations, as scores still leap
-    from one to the next."""
+def going_on(minutes: int, evaluations: pd.DataFrame) -> list[str]:
+    """The variations that are trained for longer: those that scored best by then (the mean of two
+    evaluations, as scores still leap from one to the next), and the first, to compare with."""
     then = evaluations[evaluations.cpu_minutes <= minutes]
     means = then.groupby("setup", sort=False).tail(2).groupby("setup", sort=False).score.mean()
-    return list(means.nlargest(BEST).index)
+    return list(dict.fromkeys([*means.nlargest(BEST).index, means.index[0]]))
 
 
 def arguments() -> argparse.Namespace:
     """The command line. Raises SystemExit where training would not end with an evaluation."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--minutes", type=int, default=60, help="processor time of each")
-    parser.add_argument("--best-minutes", type=int, default=180, help="of the two best")
+    parser.add_argument("--best-minutes", type=int, default=180, help="of those that go on")
     parser.add_argument("--output", type=Path, default=project_root() / "results" / "benchmarks")
     chosen = parser.parse_args()
     between = round(SLICES * SLICE / 60)
@@ -155,8 +155,7 @@ def main() -> None:
 
         try:
             train(setups, chosen.minutes)
-            best = best_after(chosen.minutes, collected("evaluations"))
-            train(dict.fromkeys([*best, next(iter(setups))]), chosen.best_minutes)
+            train(going_on(chosen.minutes, collected("evaluations")), chosen.best_minutes)
         except BaseException:  # the pool would finish all that is queued first
             for process in multiprocessing.active_children():
                 process.terminate()

@@ -72,7 +72,7 @@ STUDY = pd.DataFrame(
         {"setup": "random play", "games": 50, "score": 1.0, "low": 0.0, "high": 2.0},
         *evaluated("steady", [0.0, 25.0, 24.0]),
         *evaluated("lucky once", [0.0, 0.0, 26.0]),
-        *evaluated("second", [9.0, 10.0, 30.0, 90.0]),
+        *evaluated("second", [9.0, 10.0, 30.0, 190.0]),
         *evaluated("early", [80.0, 1.0, 1.0]),
     ]
 )
@@ -96,8 +96,11 @@ GAMES = pd.DataFrame(
 )
 
 
-def test_the_two_best_set_ups_are_those_of_the_last_two_evaluations_in_the_common_time():
-    assert settings.best_after(60, STUDY.iloc[1:]) == ["steady", "second"]
+def test_those_best_in_the_last_two_evaluations_of_the_common_time_go_on_and_the_first_does():
+    assert settings.going_on(60, STUDY.iloc[1:]) == ["steady", "second"]
+    first = pd.DataFrame(evaluated("unchanged", [0.0, 0.0, 0.0]))
+    chosen = settings.going_on(60, pd.concat([first, STUDY.iloc[1:]]))
+    assert chosen == ["steady", "second", "unchanged"]
 
 
 @pytest.fixture
@@ -124,12 +127,12 @@ def test_the_settings_are_shown_after_the_same_time_and_then_those_that_went_on(
     ]
     assert table.minutes.tolist()[1:] == [60, 60, 60, 60, 80]
     scores = [float(text.split(" (")[0]) for text in table["greedy score"]]
-    assert scores == [1, 24, 26, 30, 1, 90]
-    assert table["greedy score"].iloc[-1] == "90.0 (89.0 to 91.0)"
+    assert scores == [1, 24, 26, 30, 1, 190]
+    assert table["greedy score"].iloc[-1] == "190.0 (189.0 to 191.0)"
     assert table["last 50"].tolist()[1:] == [6, 4, 0, 8, 2]
     assert table.epsilon.tolist() == ["–", "0.00", "0.00", "0.00", "0.00", "0.00"]
     (reading,) = [text for text in shown["texts"] if text]
-    assert "lie 29.0 points apart. That of one and the same run moves by up to 79.0" in reading
+    assert "lie 29.0 points apart. That of one and the same run had moved by up to 79.0" in reading
     assert "too much to tell one setting from another" in reading
 
 

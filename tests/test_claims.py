@@ -206,13 +206,36 @@ def test_an_agent_that_has_just_begun_is_named_and_compared_with_nobody(tmp_path
     assert "Dueling Double DQN has played 120 games only" in summaries.conclusion(study)
 
 
+def test_a_second_seed_that_has_just_begun_takes_nothing_from_the_first(tmp_path):
+    run = store(tmp_path, "boxing_final", "dqn", np.full(700, 5.0))
+    study = Study("full", str(tmp_path))
+    section = study["boxing_final"]
+    second = section.episodes.head(120).assign(seed=2, score=90.0)
+    section.__dict__["episodes"] = pd.concat([section.episodes, second])
+    assert "After 700 games of Boxing DQN scores 5.0 points a game" in summaries.headline(study)
+    assert run.seed == 1
+
+
+def test_a_reading_tells_of_the_newest_greedy_games(tmp_path):
+    run = store(tmp_path, "boxing_final", "dqn", np.full(900, 5.0))
+    check(run, [0.0, 10.0, 20.0, 30.0, 40.0])
+    evaluate(run, trained=420, score=7.0)
+    text = summaries.reading(Study("full", str(tmp_path)), "boxing_final")
+    assert "Playing 40 games greedily after 420 of training, it scored" in text
+    evaluate(run, trained=390, score=7.0)
+    text = summaries.reading(Study("full", str(tmp_path)), "boxing_final")
+    assert "Playing four games greedily after 500 of training, it scored 40.0" in text
+
+
 def test_finished_runs_are_told_of_as_finished(tmp_path):
     for agent, mean in (("dqn", 80.0), ("double_dqn", 90.0), ("dueling_double_dqn", 85.0)):
         run = store(tmp_path, "boxing_final", agent, np.full(3000, mean))
         evaluate(run, score=mean)
     study = Study("full", str(tmp_path))
     headline = summaries.headline(study)
-    assert "Double DQN ends highest: 90.0 points a game over the last 500 of 3,000" in headline
+    assert (
+        "over the last 500 of 3,000 training games is that of Double DQN, 90.0 points" in headline
+    )
     reading = summaries.reading(study, "boxing_final")
     scored = pd.read_csv(run.folder / "evaluations.csv").score.mean()
     said = f"Playing 40 games greedily after 3,000 of training, it scored {scored:.1f}"

@@ -150,6 +150,8 @@ def test_values_injected_into_a_notebook_are_overrides_of_the_file_they_name(tmp
     assert params.resolve({"experiment": "new", "game": "breakout"}, tmp_path).game == "breakout"
     with pytest.raises(ParameterError, match=r"experiment: 'other' is not allowed: there is no"):
         params.resolve({"experiment": "other", "profile": "full", "gamma": 0.5}, tmp_path)
+    with pytest.raises(ParameterError, match="there is with profile full"):
+        params.resolve({**values, "profile": "quick"}, tmp_path)
     write(tmp_path, "gamma: 0.9", "boxing_final.yaml")
     with pytest.raises(ParameterError, match=r"did you mean 'boxing_final'\?"):
         params.resolve({"experiment": "boxing_finl", "game": "boxing"}, tmp_path)
@@ -172,8 +174,9 @@ def test_a_full_file_does_not_become_small_by_its_profiles_name(tmp_path):
     with pytest.raises(ParameterError, match=r"profile: 'quick' is not allowed: .*is 'full'"):
         params.load(path, {"profile": "quick"})
     values = {"experiment": "mine", "profile": "quick"}
+    more = {"episodes": 7, "evaluation_games": 3}
     with pytest.raises(ParameterError, match=r"give params/quick/mine\.yaml instead"):
-        params.resolve({**params.read_values(path), **values, "episodes": 7}, tmp_path)
+        params.resolve({**params.read_values(path), **values, **more}, tmp_path)
     assert params.resolve({**values, "episodes": 7}, tmp_path).replay_capacity == 800
 
 

@@ -239,17 +239,19 @@ def show_settings() -> None:
         "same epsilon only.",
         decimals=1,
     )
-    jump = trained.groupby("setup").score.diff().abs().max()
+    until = trained[trained.cpu_minutes <= common]
+    jump = until.groupby("setup").score.diff().abs().max()
     apart = compared.score.max() - compared.score.min()
-    show_text(
-        f"After {common:.0f} minutes the greedy scores lie {apart:.1f} points apart. That of one "
-        f"and the same run moves by up to {jump:.1f} from one evaluation to the next: "
-        + (
-            "too much to tell one setting from another by it."
-            if apart < 2 * jump
-            else "the first can be told from the last by it, as far as one run of each goes."
+    if len(compared) > 1 and jump > 0:
+        show_text(
+            f"After {common:.0f} minutes the greedy scores lie {apart:.1f} points apart. That of "
+            f"one and the same run had moved by up to {jump:.1f} from one evaluation to the next: "
+            + (
+                "too much to tell one setting from another by it."
+                if apart < 2 * jump
+                else "the first can be told from the last by it, as far as one run of each goes."
+            )
         )
-    )
     show_text(_main_run(games))
 
 
@@ -264,9 +266,11 @@ def _main_run(games: pd.DataFrame) -> str:
     """What the study's unchanged set-up has to do with the main run of the same agent; empty if
     their scores are not the same."""
     run = runs.project_root() / "results" / "runs" / "boxing_final" / "double_dqn" / "seed-1"
+    if not (run / "episodes.csv").exists():
+        return ""
     unchanged = games.setup.iloc[0]
     ours = games[games.setup == unchanged].score.to_numpy()
-    stored = pd.read_csv(run / "episodes.csv").score.to_numpy() if run.exists() else np.empty(0)
+    stored = pd.read_csv(run / "episodes.csv").score.to_numpy()
     both = min(len(ours), len(stored))
     if not both or (ours[:both] != stored[:both]).any():
         return ""

@@ -64,7 +64,8 @@ def _stored(code: str, profile: str, results: Path) -> Iterator[Path]:
         if not re.search(rf"""["']{path.stem}["']|\bStudy\(""", code):
             continue
         yield path
-        if profile != "full":  # such a file says how it differs from the full one
-            yield path.parent.parent / path.name
+        full = path.parent.parent / path.name  # from which a small profile's says how it differs
+        if profile != "full" and full.exists():
+            yield full
         for run in runs.runs_of(params.load(path), results):
             yield from sorted(file for file in run.folder.rglob("[!.]*") if file.is_file())

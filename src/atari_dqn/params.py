@@ -316,6 +316,8 @@ def resolve(values: dict[str, Any], folder: Path) -> Parameters:
     names = [file.stem for file in folder.glob("*.yaml")]
     nearest = difflib.get_close_matches(given.experiment, names, n=1, cutoff=0.85)
     why = f"did you mean {nearest[0]!r}?" if nearest else "and no game is given"
+    if given.experiment in names:
+        why = "there is with profile full"
     if nearest or "game" not in values:
         raise ParameterError(
             f"experiment: {given.experiment!r} is not allowed: there is no {path}; {why}"
@@ -323,17 +325,18 @@ def resolve(values: dict[str, Any], folder: Path) -> Parameters:
     return given
 
 
+SIZES = {"max_game_frames", "replay_capacity", "learning_starts"}  # of what a small profile shrinks
+
+
 def _refuse_full_size(values: dict[str, Any], path: Path) -> None:
     """Raises ParameterError if `values` undo what makes the file of a small profile small, as they
-    do if they come from the full file. The number of games may be anyone's choice."""
-    full = path.parent.parent / path.name
-    if path.parent.name not in PROFILES or not full.exists():
+    do if they come from the full file."""
+    full, profile = path.parent.parent / path.name, path.parent.name
+    if profile not in PROFILES or not full.exists():
         return
     large = read_values(full)
-    changed = read_values(path).keys() - {"profile", "episodes"}
-    smaller = {key: large.get(key) for key in changed}
-    if smaller.items() <= values.items():
-        profile = path.parent.name
+    shrunk = SIZES & read_values(path).keys()
+    if shrunk and all(key in values and values[key] == large.get(key) for key in shrunk):
         raise ParameterError(
             f"profile: {profile!r} is not allowed beside the sizes of params/{full.name}: "
             f"give params/{profile}/{path.name} instead"

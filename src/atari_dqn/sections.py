@@ -54,7 +54,7 @@ def run_from_notebook(values: dict[str, Any]) -> Run:
     if resolved.variations:
         raise ParameterError(
             f"experiment: {resolved.experiment!r} is not allowed: it has variations, which are "
-            "several runs; `python -m atari_dqn experiments run` trains them"
+            "several runs; `python -m atari_dqn train` with its file trains them"
         )
     agent = resolved.agents[0] if agent is None else agent
     seed = resolved.seeds[0] if seed is None else seed

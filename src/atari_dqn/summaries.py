@@ -25,14 +25,13 @@ def headline(study: Study) -> str:
         best, mean, facts = means.index[0], means.iloc[0], section.facts
         if section.complete:
             text = (
-                f"Of the agents in Boxing {best} ends highest: {mean:.1f} points a game over the "
-                f"last {_window(section)} of {games:,} training games"
+                f"The highest mean score in Boxing over the last {_window(section)} of {games:,} "
+                f"training games is that of {best}, {mean:.1f} points"
             )
         else:
-            text = (
-                f"After {games:,} games of Boxing the agent with the most points so far, {best}, "
-                f"scores {mean:.1f} a game while still exploring"
-            )
+            who = f"the agent with the most points so far, {best}," if len(means) > 1 else best
+            text = f"After {games:,} games of Boxing {who} scores {mean:.1f} points a game while "
+            text += "still exploring"
         level = "above" if mean > facts.human else "below"
         text += f", {level} the human reference of {facts.human:g} (random play: {facts.random:g})."
     claims = f"{judged.sum()} claims of the source report that runs can judge"
@@ -49,26 +48,20 @@ def _window(section: Section) -> int:
     return section.mark_window if section.complete else min(RECENT, section.params.episodes)
 
 
-def _played_by(section: Section) -> pd.Series:
-    """Training games of each agent, by title: those that all its seeds have played."""
-    if section.episodes.empty:
-        return pd.Series(dtype=int)
-    games = section.episodes.groupby(["agent", "seed"]).episode.max().groupby("agent").min()
-    return games.rename(index=runs.title)
-
-
 def _recent(section: Section) -> tuple[int, pd.Series]:
-    """How many games the agents have all played, and each one's mean score over the last of these,
-    the best first; without those that are in their early games. 0 games if all are."""
-    played = _played_by(section)
-    played = played[played >= min(EARLY, section.params.episodes)]
-    if played.empty:
-        return 0, pd.Series(dtype=float)
-    games = int(played.min())
-    episodes = section.episodes
-    recent = episodes[episodes.episode.between(games - _window(section) + 1, games)]
+    """How many games all runs have played, but for those in their early games, and each agent's
+    mean score over the last of these, the best first. 0 games and no scores if all are early."""
+    none, episodes = (0, pd.Series(dtype=float)), section.episodes
+    if episodes.empty:
+        return none
+    played = episodes.groupby(["agent", "seed"]).episode.transform("max")
+    ready = played >= min(EARLY, section.params.episodes)
+    if not ready.any():
+        return none
+    games = int(played[ready].min())
+    recent = episodes[ready & episodes.episode.between(games - _window(section) + 1, games)]
     means = recent.groupby("agent").score.mean().rename(index=runs.title)
-    return games, means[played.index].sort_values(ascending=False)
+    return games, means.sort_values(ascending=False)
 
 
 def _played(study: Study) -> tuple[int, int]:
@@ -89,7 +82,7 @@ def conclusion(study: Study) -> str:
         scores = ", ".join(f"{agent} {mean:.1f}" for agent, mean in means.items())
         text = f"In {section.facts.title}, mean scores over the last {_window(section)} of "
         text += f"{games:,} games are {scores} (human {section.facts.human:g})."
-        played = _played_by(section)
+        played = section.episodes.groupby("agent").episode.max().rename(index=runs.title)
         for agent in map(runs.title, section.params.agents):
             if agent not in played:
                 text += f" {agent} has not begun."
@@ -190,15 +183,15 @@ def _progress(section: Section, games: pd.DataFrame) -> str:
 
 
 def _without_exploring(evaluated: pd.DataFrame, checks: pd.DataFrame) -> str:
-    """What a run scores without random moves: evaluated, or in the few greedy games along the
-    way."""
-    if not evaluated.empty:
-        games, count = evaluated.trained_games.max(), f"{len(evaluated)}"
-    elif not checks.empty:
-        games, count, evaluated = checks.episode.max(), "four", checks.tail(1)
-    else:
+    """What a run scores without random moves: evaluated, or, if that is long ago, in the few greedy
+    games along the way."""
+    tried = 0 if evaluated.empty else int(evaluated.trained_games.max())
+    checked = 0 if checks.empty else int(checks.episode.max())
+    if not tried and not checked:
         return ""
-    score = evaluated.score.mean()
+    fresh = tried >= checked - RECENT
+    count, games = (len(evaluated), tried) if fresh else ("four", checked)
+    score = evaluated.score.mean() if fresh else checks.score.iloc[-1]
     return f". Playing {count} games greedily after {games:,} of training, it scored {score:.1f}"
 
 
