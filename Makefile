@@ -53,7 +53,7 @@ status: $(READY) ## show every run of every experiment
 	$(RUN) atari_dqn experiments status --profile $(PROFILE) $(RESULTS_OPTION)
 
 test: $(READY) ## run the tests
-	$(RUN) pytest -n 2
+	$(RUN) pytest -n 2 --dist loadgroup
 
 check: $(READY) ## run the linter and the formatter's check
 	$(RUN) ruff check .

@@ -16,6 +16,7 @@ from atari_dqn import clips, experiments, params, report, runs, sections
 
 ROOT = Path(__file__).parents[1]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
+pytestmark = pytest.mark.xdist_group("report")  # one process: it makes the report only once
 
 
 def test_a_snapshot_stays_as_it_was_while_training_goes_on(tmp_path, monkeypatch):
