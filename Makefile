@@ -52,8 +52,9 @@ experiments: $(READY) ## train every run that is missing or interrupted (hours t
 status: $(READY) ## show every run of every experiment
 	$(RUN) atari_dqn experiments status --profile $(PROFILE) $(RESULTS_OPTION)
 
+# loadfile: what the tests of a file share is made once
 test: $(READY) ## run the tests
-	$(RUN) pytest -n 2 --dist loadgroup
+	$(RUN) pytest -n 2 --dist loadfile
 
 check: $(READY) ## run the linter and the formatter's check
 	$(RUN) ruff check .
