@@ -3,10 +3,9 @@
     python benchmarks/settings.py [--minutes 60] [--best-minutes 180]
 
 Every variation in settings.yaml is trained for the same processor time, one process a core, and
-plays 50 greedy games after every 20 minutes of it; the two that score best go on, and the first of
-the file with them, to compare with. Scores while training compare at the same epsilon only, which
-falls with the games finished. Writes settings.csv (a row an
-evaluation; the first is random play) and settings_training.csv (a row a training game) into
+plays 50 greedy games after every 20 minutes of it; the two that score best go on. Scores while
+training compare at the same epsilon only, which falls with the games finished. Writes settings.csv
+(a row an evaluation; the first is random play) and settings_training.csv (a row a training game) to
 results/benchmarks/. Checkpoints are kept: the same command continues what was stopped, and more
 minutes lengthen it. Single runs: indications.
 """
@@ -36,7 +35,7 @@ from atari_dqn.training import Trainer, prepare_process
 GAMES = 50  # of each evaluation
 SLICE = 5 * 60.0  # seconds of processor time between checkpoints
 SLICES = 4  # between evaluations
-BEST = 2  # variations that go on, the unchanged one besides
+BEST = 2  # variations that go on
 
 
 def measure(label: str, parameters: Parameters, minutes: int, state: Path) -> dict[str, Any]:
@@ -105,19 +104,19 @@ def random_play(parameters: Parameters) -> dict[str, Any]:
     return {"setup": "random play", **evaluate(network, guessing)}
 
 
-def going_on(minutes: int, evaluations: pd.DataFrame) -> list[str]:
-    """The variations that are trained for longer: those that scored best by then (the mean of two
-    evaluations, as scores still leap from one to the next), and the first, to compare with."""
+def best_after(minutes: int, evaluations: pd.DataFrame) -> list[str]:
+    """The variations that scored best by then: the mean of two evaluations, as scores still leap
+    from one to the next."""
     then = evaluations[evaluations.cpu_minutes <= minutes]
     means = then.groupby("setup", sort=False).tail(2).groupby("setup", sort=False).score.mean()
-    return list(dict.fromkeys([*means.nlargest(BEST).index, means.index[0]]))
+    return list(means.nlargest(BEST).index)
 
 
 def arguments() -> argparse.Namespace:
     """The command line. Raises SystemExit where training would not end with an evaluation."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--minutes", type=int, default=60, help="processor time of each")
-    parser.add_argument("--best-minutes", type=int, default=180, help="of those that go on")
+    parser.add_argument("--best-minutes", type=int, default=180, help="of the two best")
     parser.add_argument("--output", type=Path, default=project_root() / "results" / "benchmarks")
     chosen = parser.parse_args()
     between = round(SLICES * SLICE / 60)
@@ -155,7 +154,7 @@ def main() -> None:
 
         try:
             train(setups, chosen.minutes)
-            train(going_on(chosen.minutes, collected("evaluations")), chosen.best_minutes)
+            train(best_after(chosen.minutes, collected("evaluations")), chosen.best_minutes)
         except BaseException:  # the pool would finish all that is queued first
             for process in multiprocessing.active_children():
                 process.terminate()

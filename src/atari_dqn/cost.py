@@ -284,7 +284,7 @@ def _main_run(games: pd.DataFrame) -> str:
         usual = played[(played.epsilon < 1) & (played.difficulty == 0)]
         means = usual[usual.sticky_actions == 0].groupby("trained_games").score.mean()
         said = [f"{mean:.1f} points after {games} games" for games, mean in means.items()]
-        text += f" There, greedy games brought {', and '.join(said)}."
+        text += f" It goes on there, and scored {', '.join(said)} in greedy games."
     return text
 
 
