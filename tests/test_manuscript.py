@@ -1,8 +1,12 @@
 """Labels, numbers and completeness of the report's text."""
 
+import re
+
+import pypandoc
 import pytest
 
 from atari_dqn import manuscript
+from atari_dqn.report import TEMPLATES
 from atari_dqn.runs import RunError
 
 FIGURE = '![A caption.](a.svg){#fig-one alt="A picture of something."}'
@@ -84,3 +88,13 @@ def test_what_the_report_does_not_show_fails_and_is_named(tmp_path):
     path.write_text("goals:\n  - {what: a goal, labels: []}\n")
     with pytest.raises(RunError, match=r"goals: a goal \(no label\)"):
         manuscript.check_completeness(TEXT, path)
+
+
+@pytest.mark.parametrize("made", ["html5", "typst"])
+def test_computed_numbers_get_a_minus_sign_and_names_keep_their_hyphens(made):
+    text = "-12.8 (-16.5 to -9.2), 2026-01 seed-1 games 1-500 `-5`"
+    result = pypandoc.convert_text(
+        text, made, "markdown", extra_args=[f"--lua-filter={TEMPLATES / 'report.lua'}"]
+    )
+    assert "−12.8 (−16.5 to −9.2), 2026-01 seed-1 games 1-500" in result
+    assert re.search(r"[`>]-5[`<]", result)  # in code

@@ -1,5 +1,14 @@
+-- What code has computed writes a minus sign as a hyphen: "-12.8 (-16.5 to -9.2)".
+local function minus(word)
+  word.text = word.text:gsub("^(%(?)-(%d)", "%1−%2")
+  return word
+end
+
+if FORMAT ~= "typst" then return { { Str = minus } } end
+
+Str = minus
+
 -- Divisions that CSS styles on the page, for paper: badges, what is still absent, the row of cards.
-if FORMAT ~= "typst" then return {} end
 
 local function wrapped(open, blocks, close)
   local result = { pandoc.RawBlock("typst", open) }
