@@ -373,6 +373,31 @@ def test_anew_begins_again_though_a_checkpoint_of_the_same_settings_is_left(tmp_
     assert checkpoints.exist(kept)
 
 
+def test_anew_begins_again_when_every_checkpoint_is_damaged(tmp_path, small):
+    run = Run(small(episodes=1), tmp_path)
+    recording.train(run)
+    for checkpoint in run.state_folder.glob("checkpoint-*"):
+        checkpoint.rename(checkpoint.with_name(checkpoint.name.replace("checkpoint", "damaged")))
+    longer = Run(small(episodes=2), tmp_path)
+    with pytest.raises(checkpoints.CheckpointError, match="damaged"):
+        recording.train(longer)
+    assert longer.set_aside().name == "seed-1.aside-1"
+    recording.train(longer)
+    assert longer.state() == "complete"
+
+
+def test_anew_begins_again_when_neither_a_status_nor_a_checkpoint_is_left(tmp_path, small):
+    run = Run(small(episodes=1), tmp_path)
+    recording.train(run)
+    (run.folder / "status.json").unlink()
+    shutil.rmtree(run.state_folder)
+    with pytest.raises(RunError, match="--anew"):
+        recording.train(run)
+    assert (run.set_aside() / "episodes.csv").exists()
+    recording.train(run)
+    assert run.state() == "complete"
+
+
 def test_a_run_whose_folder_was_lost_comes_back_whole_from_its_checkpoint(tmp_path, small):
     run = Run(small(episodes=2, snapshot_games=[1]), tmp_path)
     recording.train(run)

@@ -199,18 +199,21 @@ class Run:
 
     def set_aside(self) -> Path | None:
         """Moves what is stored of a run that cannot be continued here, because it is stale or has
-        no checkpoint, to a folder beside its own, and likewise a stale run's checkpoints; returns
-        the first, None if nothing was moved.
+        no checkpoint that is whole, and its checkpoints, to folders beside their own; returns
+        where the first went, None if nothing was moved.
         """
-        state, resumable = self.state(), checkpoints.exist(self.state_folder)
-        if state in (COMPLETE, RUNNING, MISSING) or (resumable and state != STALE):
+        state, stored = self.state(), [self.folder, self.state_folder]
+        if state in (COMPLETE, RUNNING) or not any(map(_contents, stored)):
+            return None
+        if state != STALE and checkpoints.exist(self.state_folder):
             return None
         with self.lock():
             if self.state() == COMPLETE:
                 return None  # by now
-            if resumable:  # else they would be the new run's, which has the same parameters
-                _move_aside(self.state_folder)
-            return _move_aside(self.folder)
+            # The checkpoints first: left behind, they would be the new run's, whose parameters
+            # are the same.
+            moved = [_move_aside(folder) for folder in reversed(stored) if _contents(folder)]
+            return moved[-1]
 
     def _locked(self) -> bool:
         try:
@@ -220,15 +223,19 @@ class Run:
             return True
 
 
+def _contents(folder: Path) -> list[Path]:
+    """What a run's folder holds besides its lock."""
+    return [path for path in folder.glob("*") if path.name != ".lock"]
+
+
 def _move_aside(folder: Path) -> Path:
     """Moves what a locked folder holds to the next free <folder>.aside-<n>, and returns that."""
     number = 1
     while (aside := folder.with_name(f"{folder.name}.aside-{number}")).exists():
         number += 1
     aside.mkdir()
-    for path in folder.iterdir():
-        if path.name != ".lock":
-            path.rename(aside / path.name)
+    for path in _contents(folder):
+        path.rename(aside / path.name)
     return aside
 
 
