@@ -127,7 +127,7 @@ def test_variations_of_a_changed_experiment_are_not_those_of_its_file(tmp_path):
     assert own == {
         params.load(path, {k: v}).experiment for k, v in (("learning_rate", 1e-5), ("gamma", 0.5))
     }
-    for overrides in ({"episodes": 10}, {"evaluation_stickiness": [0.25]}, {"batch_size": 8}):
+    for overrides in ({"episodes": 10}, {"noop_max": 3}, {"batch_size": 8}):
         changed = names(overrides)
         assert len(changed) == 2
         assert not changed & own, overrides
@@ -171,7 +171,7 @@ def test_a_full_file_does_not_become_small_by_its_profiles_name(tmp_path):
     (tmp_path / "quick").mkdir()
     path = write(tmp_path, "gamma: 0.9\nreplay_capacity: 80000\nepisodes: 100")
     write(tmp_path / "quick", "profile: quick\nreplay_capacity: 800\nepisodes: 5")
-    with pytest.raises(ParameterError, match=r"profile: 'quick' is not allowed: .*is 'full'"):
+    with pytest.raises(ParameterError, match=r"profile: 'quick' is not allowed: .*has 'full'"):
         params.load(path, {"profile": "quick"})
     values = {"experiment": "mine", "profile": "quick"}
     more = {"episodes": 7, "evaluation_games": 3}
@@ -185,6 +185,8 @@ def test_what_is_evaluated_besides_gives_an_experiment_no_other_name(tmp_path):
     before = params.load(path, {"gamma": 0.8}).experiment
     path.write_text("gamma: 0.9\nevaluation_difficulties: [0, 1]\nevaluation_stickiness: [0.25]")
     assert params.load(path, {"gamma": 0.8}).experiment == before
+    with pytest.raises(ParameterError, match=r"evaluation_difficulties: \[1\] .*`evaluate` plays"):
+        params.load(path, {"evaluation_difficulties": [1]})  # the same run: nothing would be played
 
 
 def test_what_is_dumped_reads_back_the_same(tmp_path, small):
@@ -229,6 +231,8 @@ def test_variations_are_what_the_same_overrides_would_give(tmp_path):
         ("variations: {a: {gamma: 2}}", "gamma: 2 is not allowed"),
         ("variations: {a: {}}", "'a' is not allowed"),
         ("variations: {a: {episodes: 5}}", "'a' is not allowed"),
+        ("variations: {a: {evaluation_difficulties: [1]}}", "'a' is not allowed"),
+        ("variations: {a: {gamma: 0.99}, b: {batch_size: 32}}", "two of them are the same"),
     ],
 )
 def test_a_bad_variation_is_refused_with_its_label(tmp_path, text, said):

@@ -150,13 +150,12 @@ class Parameters(BaseModel):
             raise _key_error("replay_capacity", self.replay_capacity, f"at least {smallest}")
         if self.epsilon_floor > self.epsilon_start:
             raise _key_error("epsilon_floor", self.epsilon_floor, "above epsilon_start")
-        listed = [json.dumps(changes, sort_keys=True) for changes in self.variations.values()]
-        if len(set(listed)) < len(listed):
-            raise _key_error("variations", list(self.variations), "two of them change the same")
         for label, changes in self.variations.items():
-            if not changes or set(changes) & NOT_VARIANT:
+            if not changes or set(changes) & (NOT_VARIANT | EVALUATED_BESIDES):
                 raise _key_error("variations", label, "names parameters that vary the training")
-            _check_variation(self, label, changes)
+        resolved = [_variation(self, label).variant() for label in self.variations]
+        if len(set(resolved)) < len(resolved):
+            raise _key_error("variations", list(self.variations), "two of them are the same")
         return self
 
     def variant(self) -> str:
@@ -180,9 +179,11 @@ EVALUATED_BESIDES = {"evaluation_difficulties", "evaluation_stickiness"}
 NOT_TRAINING |= EVALUATED_BESIDES
 
 
-def _check_variation(params: Parameters, label: str, changes: dict[str, Any]) -> None:
+def _variation(params: Parameters, label: str) -> Parameters:
+    """`params` with one of their variations put on top."""
+    values = {**params.model_dump(), "variations": {}, **params.variations[label]}
     try:
-        Parameters.model_validate({**params.model_dump(), "variations": {}, **changes})
+        return Parameters.model_validate(values)
     except ValidationError as error:
         raise _key_error("variations", label, _one_line(error)) from None
 
@@ -268,10 +269,11 @@ def load(path: Path | str, overrides: dict[str, Any] | None = None) -> Parameter
         )
     base = parse(values, str(path))
     changed = parse({**values, **(overrides or {})}, f"{path} with overrides")
-    for key in ("experiment", "profile"):
+    for key in ("experiment", "profile", *sorted(EVALUATED_BESIDES)):
         now, was = getattr(changed, key), getattr(base, key)
         if now != was:
-            raise ParameterError(f"{key}: {now!r} is not allowed: {path} is {was!r}")
+            hint = "; `evaluate` plays a stored run otherwise" if key in EVALUATED_BESIDES else ""
+            raise ParameterError(f"{key}: {now!r} is not allowed: {path} has {was!r}{hint}")
     return _renamed(base, changed)
 
 
@@ -282,11 +284,7 @@ def variants(params: Parameters) -> dict[str, Parameters]:
     """
     if not params.variations:
         return {params.experiment: params}
-    values = {**params.model_dump(), "variations": {}}
-    return {
-        label: _renamed(params, parse({**values, **changes}, f"variation {label!r}"))
-        for label, changes in params.variations.items()
-    }
+    return {label: _renamed(params, _variation(params, label)) for label in params.variations}
 
 
 def _renamed(base: Parameters, changed: Parameters) -> Parameters:
