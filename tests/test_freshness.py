@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from atari_dqn import freshness, params, runs
+from atari_dqn import freshness, params, runs, sources
 
 ROOT = Path(__file__).parents[1]
 
@@ -30,7 +30,7 @@ def test_only_what_a_section_is_made_from_makes_it_stale(notebook, tmp_path, mon
     package.mkdir()
     for path in (ROOT / "src" / "atari_dqn").glob("*.py"):
         (package / path.name).write_bytes(path.read_bytes())
-    monkeypatch.setattr(freshness, "PACKAGE", package)
+    monkeypatch.setattr(sources, "PACKAGE", package)
 
     def now():
         return freshness.fingerprint(notebook, "smoke", tmp_path)
@@ -50,6 +50,8 @@ def test_only_what_a_section_is_made_from_makes_it_stale(notebook, tmp_path, mon
     assert changes(of["boxing_final"] / "episodes.csv"), "its experiment's"
     assert not changes(of["breakout_final"] / "episodes.csv"), "another's"
     assert changes(notebook, "\n")
+    notebook.write_text(notebook.read_text().replace("exploration", "diagrams; project_files()"))
+    assert changes(package / "cluster.py"), "drawn"
 
 
 def test_a_small_section_depends_on_the_full_file_too(notebook, tmp_path, monkeypatch):

@@ -4,11 +4,9 @@ Whatever can be computed is: the layers come from the networks themselves, the m
 from their sources, epsilon from the function that training calls.
 """
 
-import ast
 from dataclasses import dataclass
 from graphlib import TopologicalSorter
 from itertools import combinations, pairwise
-from pathlib import Path as File
 
 import numpy as np
 import seaborn as sns
@@ -21,6 +19,7 @@ from scipy.optimize import isotonic_regression
 from torch import fx, nn
 from torch.fx.passes.shape_prop import ShapeProp
 
+from atari_dqn import sources
 from atari_dqn.agents import AGENTS
 from atari_dqn.envs import SIZE
 from atari_dqn.exploration import epsilon
@@ -286,19 +285,10 @@ def whole_agent() -> Figure:
 
 
 def imports() -> dict[str, list[str]]:
-    """{module: those of this project that it imports}, read from the sources; without this one."""
-    sources = {file.stem: file for file in File(__file__).parent.glob("*.py")}
-    modules = sources.keys() - {"__init__", "diagrams"}
-    found = {}
-    for module in sorted(modules):
-        names: set[str] = set()
-        for node in ast.walk(ast.parse(sources[module].read_text(encoding="utf-8"))):
-            if isinstance(node, ast.ImportFrom) and node.module:
-                package, _, submodule = node.module.partition(".")
-                if package == "atari_dqn":
-                    names |= {submodule} if submodule else {alias.name for alias in node.names}
-        found[module] = sorted(names & modules)
-    return found
+    """{module: those of this project that it imports}, without what draws this."""
+    left_out = {"__init__", "diagrams"}
+    graph = sources.graph()
+    return {name: sorted(graph[name] - left_out) for name in sorted(graph.keys() - left_out)}
 
 
 def reachable(graph: dict[str, list[str]]) -> dict[str, set[str]]:

@@ -1,15 +1,12 @@
 """Whether a section of the report must be executed again: a digest of all it is made from."""
 
-import ast
 import hashlib
 import json
 import re
 from collections.abc import Iterator
 from pathlib import Path
 
-from atari_dqn import experiments, params, runs
-
-PACKAGE = Path(__file__).parent
+from atari_dqn import experiments, params, runs, sources
 
 
 def fingerprint(notebook: Path, profile: str, results: Path) -> str:
@@ -31,26 +28,19 @@ def fingerprint(notebook: Path, profile: str, results: Path) -> str:
     return digest.hexdigest()
 
 
-def imports(code: str) -> set[str]:
-    """The package's modules that some code imports."""
-    found = set()
-    for node in ast.walk(ast.parse(code)):
-        if isinstance(node, ast.ImportFrom) and node.module == "atari_dqn":
-            found |= {name.name for name in node.names}
-        elif isinstance(node, ast.ImportFrom) and (node.module or "").startswith("atari_dqn."):
-            found.add(node.module.split(".")[1])
-    return found
-
-
 def _modules(code: str) -> list[Path]:
-    """The source files of what `code` imports, directly or through others."""
+    """The source files of what `code` imports, directly or through others; all of them if it draws
+    them."""
+    files, graph = sources.modules(), sources.graph()
+    if "project_files" in code:
+        return list(files.values())
     seen: set[str] = set()
-    waiting = imports(code)
+    waiting = sources.imports(code)
     while waiting:
         name = waiting.pop()
         seen.add(name)
-        waiting |= imports((PACKAGE / f"{name}.py").read_text(encoding="utf-8")) - seen
-    return [PACKAGE / f"{name}.py" for name in sorted(seen)]
+        waiting |= graph[name] - seen
+    return [files[name] for name in sorted(seen)]
 
 
 def _data(notebook: Path) -> list[Path]:
