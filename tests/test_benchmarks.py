@@ -2,6 +2,7 @@
 
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pandas as pd
 import pytest
@@ -116,7 +117,7 @@ def shown(tmp_path, monkeypatch):
 
 
 def test_the_settings_are_shown_after_the_same_time_and_then_those_that_went_on(shown):
-    cost.show_settings()
+    cost.show_settings(main_run(GAMES.head(0)))
     (table,) = shown["tables"]
     assert table.setting.tolist() == [
         *("random play", "steady", "lucky once", "second", "early"),
@@ -133,13 +134,20 @@ def test_the_settings_are_shown_after_the_same_time_and_then_those_that_went_on(
     assert "too much to tell one setting from another" in reading
 
 
-def test_the_unchanged_set_up_is_told_to_be_the_main_run_only_if_its_games_are(shown, tmp_path):
-    run = tmp_path / "results" / "runs" / "boxing_final" / "double_dqn" / "seed-1"
-    run.mkdir(parents=True)
+def main_run(games):
+    """A section of one run, whose model was evaluated after 300 games and after 500."""
+    played = pd.DataFrame({"trained_games": [300, 300, 500], "score": [4.0, 6.0, 9.0]})
+    return SimpleNamespace(
+        episodes=games, stored_evaluations=played, as_trained=lambda table: table
+    )
+
+
+def test_the_unchanged_set_up_is_told_to_be_the_main_run_only_if_its_games_are(shown):
     own = GAMES[GAMES.setup == "steady"]
-    own.head(280).to_csv(run / "episodes.csv", index=False)
-    cost.show_settings()
-    assert "each of the 280 training games that both have played" in shown["texts"].pop()
-    own.head(280).assign(score=1).to_csv(run / "episodes.csv", index=False)
-    cost.show_settings()
-    assert not shown["texts"].pop()
+    cost.show_settings(main_run(own.head(280)))
+    said = shown["texts"].pop()
+    assert "each of the 280 training games that both have played" in said
+    assert "scored 5.0 points after 300 games, 9.0 points after 500 games" in said
+    for other in (own.head(280).assign(score=1), own.head(20), own.head(0)):
+        cost.show_settings(main_run(other))
+        assert not shown["texts"].pop()

@@ -11,7 +11,7 @@ from matplotlib import pyplot as plt
 from atari_dqn import params, plots, provenance, runs
 from atari_dqn.agents import AGENTS
 from atari_dqn.exhibits import hold_places, show_absent, show_figure, show_table, show_text
-from atari_dqn.sections import Study, data
+from atari_dqn.sections import Section, Study, data
 
 OURS = "atari-dqn"
 FOLDER = "results/benchmarks"
@@ -176,8 +176,9 @@ SETTINGS_COLUMNS = (
 )
 
 
-def show_settings() -> None:
-    """What single changes of the settings score for the same processor time."""
+def show_settings(main: Section) -> None:
+    """What single changes of the settings score for the same processor time; `main` is the run
+    whose settings they change."""
     figure_label, table_label = "fig-settings-study", "tbl-settings-study"
     path = runs.project_root() / FOLDER / "settings.csv"
     if not path.exists():
@@ -252,7 +253,7 @@ def show_settings() -> None:
                 else "the first can be told from the last by it, as far as one run of each goes."
             )
         )
-    show_text(_main_run(games))
+    show_text(_main_run(games, main))
 
 
 def _recent(games: pd.DataFrame, setup: str, count: float) -> tuple[float, float]:
@@ -262,27 +263,25 @@ def _recent(games: pd.DataFrame, setup: str, count: float) -> tuple[float, float
     return (own.score.mean(), own.epsilon.iloc[-1]) if len(own) else (np.nan, np.nan)
 
 
-def _main_run(games: pd.DataFrame) -> str:
+def _main_run(games: pd.DataFrame, main: Section) -> str:
     """What the study's unchanged set-up has to do with the main run of the same agent; empty if
     their scores are not the same."""
-    run = runs.project_root() / "results" / "runs" / "boxing_final" / "double_dqn" / "seed-1"
-    if not (run / "episodes.csv").exists():
+    if main.episodes.empty:
         return ""
     unchanged = games.setup.iloc[0]
     ours = games[games.setup == unchanged].score.to_numpy()
-    stored = pd.read_csv(run / "episodes.csv").score.to_numpy()
+    stored = main.episodes.score.to_numpy()
     both = min(len(ours), len(stored))
-    if not both or (ours[:both] != stored[:both]).any():
+    if both < TRAINING_GAMES or (ours[:both] != stored[:both]).any():
         return ""
     text = (
         f"*{unchanged.capitalize()}* is the set-up of the final experiment, and this its Double "
         f"DQN over again: each of the {both} training games that both have played ended with the "
         "same score."
     )
-    if (run / "evaluations.csv").exists():
-        played = pd.read_csv(run / "evaluations.csv")
-        usual = played[(played.epsilon < 1) & (played.difficulty == 0)]
-        means = usual[usual.sticky_actions == 0].groupby("trained_games").score.mean()
+    if not main.stored_evaluations.empty:
+        usual = main.as_trained(main.stored_evaluations)
+        means = usual.groupby("trained_games").score.mean()
         said = [f"{mean:.1f} points after {games} games" for games, mean in means.items()]
         text += f" It goes on there, and scored {', '.join(said)} in greedy games."
     return text
@@ -298,9 +297,11 @@ def show_hours(study: Study) -> None:
     if peak := max((provenance.peak_megabytes(run) for run in stored), default=0):
         text += f", and held up to {peak / 1000:.1f} GB of memory"
     text += "."
-    if early.complete:
+    theirs = data("source_report")
+    if early.complete and early.params.profile == "full":
         ours = early.episodes.seconds.max() / 3600
-        theirs = data("source_report")["early_breakout_hours"]
-        text += f" The 7,000 games of the early Breakout run took {ours:.1f} of them; "
-        text += f"the source report's took over {theirs} hours."
+        text += (
+            f" The {early.params.episodes:,} games of the early Breakout run took {ours:.1f} of "
+            f"them; the source report's took over {theirs['early_breakout_hours']} hours."
+        )
     show_text(text)

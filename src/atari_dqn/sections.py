@@ -141,10 +141,15 @@ class Section:
         ]
 
     @cached_property
+    def stored_evaluations(self) -> pd.DataFrame:
+        """A row an evaluation game, of whichever of a run's models and however played."""
+        return runs.read_table(self.usable, "evaluations.csv")
+
+    @cached_property
     def all_evaluations(self) -> pd.DataFrame:
         """A row an evaluation game of each run's newest model that was evaluated, at whatever
         difficulty and stickiness."""
-        table = runs.read_table(self.usable, "evaluations.csv")
+        table = self.stored_evaluations
         if table.empty:
             return table
         newest = table.groupby(["experiment", "agent", "seed"]).trained_games.transform("max")
@@ -156,7 +161,7 @@ class Section:
     def random_play(self) -> pd.DataFrame:
         """A row an evaluation game of random moves only, at the experiment's difficulty and
         stickiness; the same game counts once, whichever models stood by."""
-        table = runs.read_table(self.usable, "evaluations.csv")
+        table = self.stored_evaluations
         if table.empty:
             return table
         p = self.params
