@@ -79,16 +79,15 @@ class Contestant:
         return speed
 
 
-def contestants(libraries: list[str]) -> Iterator[Contestant]:
-    for library in libraries:
+def contestants() -> Iterator[Contestant]:
+    for library in SCRIPTS:
         # Double DQN is measured where a library has it: Stable-Baselines3 has not.
         agents = ["dqn"] if library == "Stable-Baselines3" else ["dqn", "double_dqn"]
         for agent in agents:
             for environments in (1, 8):
                 yield Contestant(library, agent, 1, CORES, environments)
                 yield Contestant(library, agent, CORES, 1, environments)
-    if OURS in libraries:
-        yield Contestant(OURS, "dqn", 1, 1, 8)  # what a second core brings
+    yield Contestant(OURS, "dqn", 1, 1, 8)  # what a second core brings
 
 
 def matrix_peak() -> float:
@@ -182,7 +181,7 @@ def table(speeds: dict[Contestant, list[float]], roofline: dict[str, float]) -> 
                 "low": round(min(found), 1),
                 "high": round(max(found), 1),
                 "rounds": len(found),
-                "ratio_to_best_peer": round(medians[contestant] / max(peers), 2) if peers else "",
+                "ratio_to_best_peer": round(medians[contestant] / max(peers), 2),
                 "share_of_roofline": round(
                     medians[contestant] / (roofline[contestant.agent] * cores), 3
                 ),
@@ -193,14 +192,13 @@ def table(speeds: dict[Contestant, list[float]], roofline: dict[str, float]) -> 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--peers", help="the Python that has the peers; without it, ours alone")
+    parser.add_argument("--peers", required=True, help="the Python that has the peers")
     parser.add_argument("--rounds", type=int, default=4)
     parser.add_argument("--steps", type=int, default=3000, help="agent steps timed a process")
     parser.add_argument("--output", type=Path, default=project_root() / "results" / "benchmarks")
     chosen = parser.parse_args()
     prepare_process()
-    libraries = list(SCRIPTS) if chosen.peers else [OURS]
-    field = list(contestants(libraries))
+    field = list(contestants())
     speeds: dict[Contestant, list[float]] = {contestant: [] for contestant in field}
     peaks, emulations = [], []
     for turn in range(chosen.rounds):
