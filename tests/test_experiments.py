@@ -16,6 +16,7 @@ from distributed import LocalCluster
 from filelock import FileLock, Timeout
 
 from atari_dqn import checkpoints, cluster, experiments, params, recording
+from atari_dqn.checkpoints import CheckpointError
 from atari_dqn.params import ParameterError
 from atari_dqn.runs import Run, RunError
 from atari_dqn.training import Trainer
@@ -117,6 +118,27 @@ def test_nothing_is_trained_over_or_from_a_stale_run_here_or_on_a_cluster(
     assert failures[1] == f"{changed[1].name} starts from {changed[0].name}, which is stale"
     assert experiments.train_all(changed) == failures
     assert (changed[0].folder / "episodes.csv").read_bytes() == before
+
+
+def test_a_run_whose_files_are_damaged_is_named_and_the_others_go_on(tmp_path, small, transfer):
+    damaged, other = Run(small(), tmp_path), Run(small(seeds=[2]), tmp_path)
+    recording.train(damaged)
+    (damaged.folder / "status.json").write_text("<<<<<<< conflict")
+    table = experiments.status([damaged, other])
+    assert table.state[0].startswith("damaged")
+    assert table.state[1] == "missing"
+    lines = experiments.train_all([damaged, Run(transfer, tmp_path), other], workers=1)
+    assert len(lines) == 2
+    assert all("status.json is missing or damaged" in line for line in lines)
+    assert lines[1].startswith("transfer/double_dqn/seed-1: ")
+    assert other.state() == "complete"
+
+
+def test_what_a_user_can_mend_is_one_line_and_the_rest_names_its_kind(tmp_path, small):
+    run = Run(small(), tmp_path)
+    assert experiments.told(run, CheckpointError("no space")) == f"{run.name}: no space"
+    assert experiments.told(run, RunError(f"{run.name} is away")) == f"{run.name} is away"
+    assert experiments.told(run, ValueError("odd")) == f"{run.name}: ValueError: odd"
 
 
 def test_an_unknown_experiment_to_start_from_is_refused_before_anything_is_trained(

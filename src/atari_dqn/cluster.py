@@ -101,8 +101,7 @@ def _outcome(run: Run, future: Future) -> list[str]:
     if future.status == "cancelled":
         return [f"{run.name}: the scheduler was lost"]
     if future.status == "error":
-        error = future.exception()
-        return [str(error) if isinstance(error, RunError) else f"{run.name}: {error!r}"]
+        return [experiments.told(run, future.exception())]
     try:
         _store(run, future.result())
     except (OSError, RunError) as error:

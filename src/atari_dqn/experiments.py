@@ -15,6 +15,7 @@ import numpy as np
 import pandas as pd
 
 from atari_dqn import checkpoints, params, recording, runs
+from atari_dqn.checkpoints import CheckpointError
 from atari_dqn.params import ParameterError
 from atari_dqn.runs import Run, RunError
 
@@ -24,7 +25,9 @@ ORDER = (
     *("boxing_transfer", "boxing_low_gamma", "boxing_high_gamma", "boxing_sensitivity"),
     *("breakout_late", "boxing_early", "breakout_early", "boxing_transfer_controls"),
 )
+KNOWN = (RunError, CheckpointError, ParameterError)  # whose messages say what to do
 WAITING = "waiting"  # what `status` says of a run whose source is not complete
+DAMAGED = "damaged"  # and of one whose files cannot be read
 PACE_GAMES = 100  # of the last games, by which the time left is told
 
 
@@ -72,20 +75,23 @@ def status(wanted: list[Run]) -> pd.DataFrame:
     100 games; of a run that has none, at the mean pace of the game's other runs; else nan)."""
     rows = []
     for run in wanted:
-        state, source = run.state(), run.waits_for()
-        episodes = runs.read_table([run] if state != runs.STALE else [], "episodes.csv")
+        try:
+            state, stale = _said(run), run.state() == runs.STALE
+        except RunError as error:
+            state, stale = f"{DAMAGED} ({error})", False
+        episodes = runs.read_table([] if stale else [run], "episodes.csv")
         recent = episodes.tail(PACE_GAMES)
         rows.append(
             {
                 "experiment": _title(run),
                 "agent": run.agent,
                 "seed": run.seed,
-                "state": _said(run, state, source),
+                "state": state,
                 "games": len(episodes),
                 "episodes": run.params.episodes,
                 "score": recent.score.mean() if len(episodes) else np.nan,
                 "game": run.params.game,
-                "pace": _pace(run) if state != runs.STALE else np.nan,
+                "pace": np.nan if stale else _pace(run),
             }
         )
     table = pd.DataFrame(rows)
@@ -95,8 +101,9 @@ def status(wanted: list[Run]) -> pd.DataFrame:
     return table.drop(columns=["game", "pace"])
 
 
-def _said(run: Run, state: str, source: Run | None) -> str:
-    """A run's state, and what stands in its way."""
+def _said(run: Run) -> str:
+    """A run's state, and what stands in its way. Raises RunError if what is stored is damaged."""
+    state, source = run.state(), run.waits_for()
     if source is not None:
         return f"{WAITING} for {source.params.experiment}"
     if state in (runs.INTERRUPTED, runs.FAILED) and not checkpoints.exist(run.state_folder):
@@ -134,19 +141,26 @@ def summary(table: pd.DataFrame) -> str:
 
 def startable(wanted: list[Run]) -> tuple[list[Run], list[str]]:
     """The runs that are to be trained, and a line for each that cannot be: what is stored of it, or
-    of the run that it starts from, is of other settings."""
-    pending, failures = [], []
-    stale = {run.name for run in wanted if run.state() == runs.STALE}
+    of the run that it starts from, is damaged or of other settings."""
+    states, pending, failures = {}, [], []
     for run in wanted:
-        source = run.source()
-        if run.name in stale:
+        try:
+            run.waits_for()  # its source may be damaged
+            states[run.name] = run.state()
+        except RunError as error:
+            states[run.name] = DAMAGED
+            failures.append(told(run, error))
+    for run in wanted:
+        state, source = states[run.name], run.source()
+        begins_with = states.get(source.name) if source is not None else None
+        if state == runs.STALE:
             failures.append(
                 f"{run.folder} holds a run that no longer matches: {'; '.join(run.changes())}; "
                 "--anew keeps it elsewhere and begins again"
             )
-        elif source is not None and source.name in stale and run.state() == runs.MISSING:
+        elif state == runs.MISSING and begins_with == runs.STALE:
             failures.append(f"{run.name} starts from {source.name}, which is stale")
-        elif run.state() != runs.COMPLETE:
+        elif state not in (runs.COMPLETE, DAMAGED):
             pending.append(run)
     return pending, failures
 
@@ -260,10 +274,14 @@ def _train(run: Run, place: int, sender: Connection) -> None:
         recording.train(run, place)
     except KeyboardInterrupt:
         sys.exit(130)
-    except RunError as error:
-        sender.send(str(error))
-        sys.exit(1)
     except Exception as error:
-        sender.send(f"{run.name}: {type(error).__name__}: {error}")
-        traceback.print_exc()
+        sender.send(told(run, error))
+        if not isinstance(error, KNOWN):
+            traceback.print_exc()
         sys.exit(1)
+
+
+def told(run: Run, error: BaseException) -> str:
+    """What went wrong with a run, in a line that names it."""
+    text = str(error) if isinstance(error, KNOWN) else f"{type(error).__name__}: {error}"
+    return text if run.name in text else f"{run.name}: {text}"
