@@ -70,7 +70,7 @@ def test_a_greedy_agent_that_does_nothing_finishes_its_games(small, game, action
     assert all(not game.won for game in games)
 
 
-def test_an_untrained_network_plays_like_random_play_in_breakout(small):
+def test_random_play_in_breakout_scores_what_others_have_measured(small):
     parameters = small(game="breakout", max_game_frames=108_000, evaluation_epsilon=1.0)
     network = AGENTS["dqn"].network(4, 4)
     scores = [game.score for game in play(network, parameters, 40, seed=0)]

@@ -76,6 +76,12 @@ def test_evaluations_under_other_conditions_are_columns_and_never_mixed(tmp_path
 
 
 def test_one_condition_alone_is_no_comparison(tmp_path, tables):
-    store(tmp_path, "boxing_final", "dqn", np.full(600, 50.0))
-    results.show_conditions(Section("boxing_final", "full", str(tmp_path)))
-    assert not tables
+    run = store(tmp_path, "boxing_final", "dqn", np.full(600, 50.0))
+    games = pd.DataFrame({"game": range(3), "score": 60.0, "length": 1700, "seed": 1})
+    games = games.assign(won=True, knockout=0, frames=7200, scored=60, conceded=9)
+    greedy = games.assign(difficulty=0, sticky_actions=0.0, epsilon=0.001, trained_games=600)
+    guessed = greedy.assign(difficulty=3, epsilon=1.0)
+    for table in (greedy, pd.concat([greedy, guessed])):
+        table.to_csv(run.folder / "evaluations.csv", index=False)
+        results.show_conditions(Section("boxing_final", "full", str(tmp_path)))
+        assert not tables

@@ -122,16 +122,13 @@ def show_evaluations(section: Section) -> None:
 def show_conditions(section: Section) -> None:
     """The evaluation games at other difficulties, and with sticky actions."""
     label, p = f"tbl-{section.slug}-conditions", section.params
-    table = section.all_evaluations
-    keys = ["agent", "seed", "difficulty", "sticky_actions"]
-    if table.empty or len(table[keys[2:]].drop_duplicates()) < 2:
+    played, keys = section.all_evaluations, ["agent", "seed", "difficulty", "sticky_actions"]
+    if not played.empty:
+        played = played[played.epsilon == p.evaluation_epsilon]
+    if played.empty or len(played[keys[2:]].drop_duplicates()) < 2:
         hold_places(label)
         return
     rows = []
-    played = table[table.epsilon == p.evaluation_epsilon]
-    if played.empty:
-        hold_places(label)
-        return
     for (agent, seed, difficulty, sticky), games in played.groupby(keys, sort=False):
         rows.append(
             {
