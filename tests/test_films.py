@@ -10,7 +10,8 @@ import torch
 
 from atari_dqn import films
 from atari_dqn.agents import AGENTS
-from atari_dqn.evaluation import game_of, play
+from atari_dqn.envs import game_of
+from atari_dqn.evaluation import play
 from atari_dqn.films import play_with_instruments, side_by_side
 
 
@@ -100,17 +101,6 @@ def test_an_excerpt_lasts_as_long_as_was_asked_for(small, seconds, pictures):
     assert len(part) == pictures
     start = round((seconds[0] or 0) * 15) if (seconds[0] or 0) >= 0 else len(whole) - pictures
     assert np.abs(part[0].astype(int) - whole[start]).mean() < 3
-
-
-def test_speed_shortens_a_film_but_drops_no_picture(small):
-    params = small()
-    network = untrained(params)
-    slow, fast = (
-        decoded(play_with_instruments(network, params, "Agent", 1, 0, (0, 2), speed).video)
-        for speed in (1, 4)
-    )
-    assert len(slow[0]) == len(fast[0]) == 30
-    assert (slow[1], fast[1]) == (pytest.approx(2, abs=0.01), pytest.approx(0.5, abs=0.01))
 
 
 def test_an_excerpt_without_a_picture_is_an_error(small):

@@ -99,7 +99,9 @@ def evaluate(
         float | None, typer.Option(help="Probability that the console repeats an action.")
     ] = None,
     epsilon: Annotated[float | None, typer.Option(help="Probability of a random action.")] = None,
-    video: Annotated[Path | None, typer.Option(help="Film the first game: FILE.mp4.")] = None,
+    video: Annotated[
+        Path | None, typer.Option(help="Film the first game, and what the network makes of it.")
+    ] = None,
 ) -> None:
     """Play whole games with a run's published model and store them in its evaluations.csv."""
     chosen: dict[str, Any] = {
@@ -110,7 +112,14 @@ def evaluate(
     given = {key: value for key, value in chosen.items() if value is not None}
     if video is not None and (video.suffix != ".mp4" or not video.resolve().parent.is_dir()):
         raise ParameterError(f"--video {str(video)!r}: expected FILE.mp4 in a folder that exists")
-    played = runs.evaluate(run_dir, given, games, video)
+    played = runs.evaluate(run_dir, given, games)
+    if video is not None:
+        from atari_dqn import films  # what it draws with takes seconds to import
+
+        network, parameters = runs.stored_agent(run_dir, given)
+        title, seed = runs.title(parameters.agents[0]), parameters.seeds[0]
+        film = films.play_with_instruments(network, parameters, title, seed, game=0)
+        runs.write_atomically(video, film.video)
     print(
         f"{len(played)} games: mean score {played.score.mean():.1f}, "
         f"{played.won.sum()} won, {(played.knockout == 1).sum()} by knock-out"

@@ -41,7 +41,6 @@ class GameFacts:
     title: str
     human: float  # points, mean of a professional tester
     random: float  # points, mean of uniformly random play
-    limit: int  # points, the most a game can give
     wins_at: int  # points from which a game is won
     fire_to_serve: bool  # FIRE brings the ball into play, at the start and after every lost life
     knockout_cells: tuple[int, int] | None  # RAM cells that read 0xC0 when the agent, or its
@@ -51,8 +50,8 @@ class GameFacts:
 
 
 GAMES = {
-    "boxing": GameFacts("Boxing", 12.1, 0.1, 100, 1, False, (18, 19), ((32, 34), (33, 35))),
-    "breakout": GameFacts("Breakout", 30.5, 1.7, 864, 864, True, None, None),
+    "boxing": GameFacts("Boxing", 12.1, 0.1, 1, False, (18, 19), ((32, 34), (33, 35))),
+    "breakout": GameFacts("Breakout", 30.5, 1.7, 864, True, None, None),
 }
 
 
@@ -237,6 +236,18 @@ class AtariGame(gymnasium.Env):
         self.last_action = state["last_action"]
 
 
+def game_of(params: Parameters) -> AtariGame:
+    """A game as `params` set it up."""
+    return AtariGame(
+        params.game,
+        frame_skip=params.frame_skip,
+        noop_max=params.noop_max,
+        sticky_actions=params.sticky_actions,
+        difficulty=params.difficulty,
+        max_game_frames=params.max_game_frames,
+    )
+
+
 @dataclass(frozen=True)
 class FinishedGame:
     """A whole game, from the first frame to the last."""
@@ -266,17 +277,7 @@ class LockstepGames:
 
     def __init__(self, params: Parameters, seed: np.random.SeedSequence):
         self.params = params
-        self.games = [
-            AtariGame(
-                params.game,
-                frame_skip=params.frame_skip,
-                noop_max=params.noop_max,
-                sticky_actions=params.sticky_actions,
-                difficulty=params.difficulty,
-                max_game_frames=params.max_game_frames,
-            )
-            for _ in range(params.environments)
-        ]
+        self.games = [game_of(params) for _ in range(params.environments)]
         self.actions = len(self.games[0].actions)
         # The last `frame_stack` images of every game, oldest first. Planes, since the newest are
         # the replay memory's and one call interleaves them into observations.

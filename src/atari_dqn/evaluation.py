@@ -1,4 +1,4 @@
-"""Playing whole games with a finished agent: greedy evaluation, and films of it.
+"""Playing whole games with a finished agent: greedy evaluation.
 
 Everything here plays the published model, `model.safetensors` (float16), so that what is shown is
 what anyone can reproduce from the repository.
@@ -8,7 +8,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-import av
 import numpy as np
 import torch
 from safetensors import safe_open
@@ -16,7 +15,7 @@ from safetensors.torch import load_file, save
 from torch import nn
 
 from atari_dqn.agents import AGENTS, torch_device
-from atari_dqn.envs import SIZE, AtariGame, interleave, learned_reward
+from atari_dqn.envs import SIZE, game_of, interleave, learned_reward
 from atari_dqn.exploration import epsilon_greedy
 from atari_dqn.params import Parameters
 
@@ -67,18 +66,6 @@ def load_model(path: Path, params: Parameters) -> nn.Module:
     network = AGENTS[params.agents[0]].network(params.frame_stack, actions)
     network.load_state_dict(read_model(path))
     return network.requires_grad_(False).to(torch_device(params.device))
-
-
-def game_of(params: Parameters) -> AtariGame:
-    """A game as `params` set it up."""
-    return AtariGame(
-        params.game,
-        frame_skip=params.frame_skip,
-        noop_max=params.noop_max,
-        sticky_actions=params.sticky_actions,
-        difficulty=params.difficulty,
-        max_game_frames=params.max_game_frames,
-    )
 
 
 class Table:
@@ -243,23 +230,3 @@ def discounted(rewards: list[float], gamma: float) -> np.ndarray:
     for step in reversed(range(len(rewards))):
         returns[step] = following = rewards[step] + gamma * following
     return returns
-
-
-def film(network: nn.Module, params: Parameters, path: Path, game: int, seed: int) -> PlayedGame:
-    """Plays one game as `play` would, and films it: H.264, one picture an agent step."""
-    table = Table(params)
-    table.start(game, seed)
-    epsilon, ended = params.evaluation_epsilon, False
-    with av.open(str(path), "w", format="mp4") as container:
-        stream = container.add_stream("libx264", rate=60 // params.frame_skip)
-        stream.width, stream.height, stream.pix_fmt = 320, 420, "yuv420p"
-        stream.codec_context.thread_count = 1  # the same bytes every time
-        while True:
-            picture = table.emulator.render().repeat(2, axis=0).repeat(2, axis=1)
-            container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
-            if ended:
-                break
-            q_value = q_of(network, table.planes[:, None])
-            ended = table.step(int(epsilon_greedy(q_value, epsilon, table.rng)[0]))
-        container.mux(stream.encode())
-    return table.result(seed)

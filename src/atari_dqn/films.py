@@ -28,8 +28,8 @@ from PIL import Image, ImageDraw, ImageFont
 from torch import nn
 
 from atari_dqn import plots
-from atari_dqn.envs import SIZE
-from atari_dqn.evaluation import PlayedGame, Table, game_of, q_of
+from atari_dqn.envs import SIZE, game_of
+from atari_dqn.evaluation import PlayedGame, Table, q_of
 from atari_dqn.exploration import epsilon_greedy
 from atari_dqn.networks import DuelingNetwork
 from atari_dqn.params import Parameters
@@ -73,13 +73,12 @@ def play_with_instruments(
     seed: int,
     game: int,
     seconds: Seconds = (None, None),
-    speed: int = 1,
 ) -> Film:
     """Plays game number `game` as `evaluation.play` would, and films it with its instruments.
 
-    `seconds` cuts an excerpt; the film runs `speed` times as fast as the game.
+    `seconds` cuts an excerpt.
     """
-    return _film({title: _record(network, params, seed, game)}, seconds, speed)
+    return _film({title: _record(network, params, seed, game)}, seconds)
 
 
 def side_by_side(
@@ -87,7 +86,6 @@ def side_by_side(
     seed: int,
     game: int,
     seconds: Seconds = (None, None),
-    speed: int = 1,
 ) -> Film:
     """Lets every contestant (by name) play the same game, and films them side by side.
 
@@ -97,7 +95,7 @@ def side_by_side(
         name: _record(network, params, seed, game)
         for name, (network, params) in contestants.items()
     }
-    return _film(recordings, seconds, speed)
+    return _film(recordings, seconds)
 
 
 @dataclass(frozen=True)
@@ -154,7 +152,7 @@ def _q_and_value(network: nn.Module, planes: np.ndarray) -> tuple[np.ndarray, fl
     return q_value, float(said[0][0, 0])
 
 
-def _film(recordings: dict[str, _Recording], seconds: Seconds, speed: int) -> Film:
+def _film(recordings: dict[str, _Recording], seconds: Seconds) -> Film:
     """Films one game with its instruments, or several side by side."""
     games = list(recordings.values())
     rate, longest = games[0].rate, max(len(game.actions) for game in games)
@@ -171,7 +169,7 @@ def _film(recordings: dict[str, _Recording], seconds: Seconds, speed: int) -> Fi
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "film.mp4")  # a file, as its index is moved to the front in the end
         with av.open(str(path), "w", format="mp4", options={"movflags": "faststart"}) as container:
-            stream = container.add_stream("libx264", rate=rate * speed, options=ENCODER)
+            stream = container.add_stream("libx264", rate=rate, options=ENCODER)
             stream.height, stream.width, _ = stage.canvas.shape
             stream.pix_fmt = "yuv420p"
             stream.codec_context.thread_count = 1  # the same bytes every time
@@ -187,7 +185,7 @@ def _film(recordings: dict[str, _Recording], seconds: Seconds, speed: int) -> Fi
                 frame = frame.reformat(
                     format="yuv420p", dst_colorspace=Colorspace.ITU709, threads=1
                 )
-                for _ in range(1 + round(rate * speed) if step == longest else 1):
+                for _ in range(1 + round(rate) if step == longest else 1):
                     frame.pts = None  # the next one
                     container.mux(stream.encode(frame))
             container.mux(stream.encode())

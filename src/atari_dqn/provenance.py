@@ -33,13 +33,14 @@ def run_table(study: Study) -> pd.DataFrame:
         stored = run.provenance()
         last = stored["sessions"][-1]
         commits = [_short(session["commit"]) for session in stored["sessions"]]
-        experiment, agent, _ = run.name.split("/")
+        experiment = run.params.experiment.partition("+")[0]
+        training = state in (runs.RUNNING, runs.INTERRUPTED)
         rows.append(
             {
-                "experiment": f"`{experiment}`",
-                "agent": runs.title(agent),
+                "experiment": f"`{experiment}`" + (f": {run.variation}" if run.variation else ""),
+                "agent": runs.title(run.agent),
                 "seed": run.seed,
-                "state": state,
+                "state": "unfinished" if training else state,
                 "games": f"{run.status()['episodes_done']:,}",
                 "agent steps": f"{_last(run, 'episodes.csv', 'agent_steps'):,.0f}",
                 "hours": hours(run),

@@ -252,6 +252,7 @@ class Recorder:
 
     def save(self) -> None:
         self.seconds, self.clock = self.now(), time.monotonic()
+        self._note_memory()
         state = {
             "trainer": self.trainer.get_state(),
             "episodes": self.episodes,
@@ -309,7 +310,7 @@ class Recorder:
 
     def write_provenance(self) -> None:
         """Where the run comes from: every stretch of training that has gone into it."""
-        self.sessions[-1]["peak_memory_megabytes"] = round(peak_memory() / 1e6, 1)
+        self._note_memory()
         provenance = {
             "training_version": TRAINING_VERSION,
             "identity": self.run.params.identity(),
@@ -322,6 +323,9 @@ class Recorder:
         }
         text = json.dumps(provenance, indent=1) + "\n"
         write_atomically(self.run.folder / "provenance.json", text.encode())
+
+    def _note_memory(self) -> None:
+        self.sessions[-1]["peak_memory_megabytes"] = round(peak_memory() / 1e6, 1)
 
 
 def _session(first_episode: int, device: str) -> dict[str, Any]:

@@ -30,6 +30,7 @@ import pandas as pd
 import torch
 from filelock import FileLock, Timeout
 from safetensors import SafetensorError
+from torch import nn
 from tqdm import tqdm
 
 from atari_dqn import checkpoints, evaluation, params
@@ -249,31 +250,33 @@ def runs_of(parameters: Parameters, results: Path) -> list[Run]:
     ]
 
 
-def evaluate(
-    folder: Path, overrides: dict[str, Any], games: int | None = None, video: Path | None = None
-) -> pd.DataFrame:
-    """Plays a stored run's model, stores the games in its evaluations.csv and returns them.
-
-    `overrides` replace parameters of the run (difficulty, sticky_actions, evaluation_epsilon).
-    With `video`, game 0 is filmed too. Raises RunError or ParameterError on bad input.
-    """
-    prepare_process()
-    if not (folder / "model.safetensors").exists():
+def stored_agent(folder: Path, overrides: dict[str, Any]) -> tuple[nn.Module, Parameters]:
+    """A stored run's newest model, and its parameters with `overrides` on top. Raises RunError or
+    ParameterError on bad input."""
+    path = folder / "model.safetensors"
+    if not path.exists():
         raise ParameterError(f"{folder}: no model.safetensors here; is it a finished run?")
     values = params.read_values(folder / "params.yaml")
     parameters = params.parse({**values, **overrides}, str(folder / "params.yaml"))
-    games = games or parameters.evaluation_games
     try:
-        network = evaluation.load_model(folder / "model.safetensors", parameters)
+        return evaluation.load_model(path, parameters), parameters
     except (SafetensorError, RuntimeError) as error:
-        reason = str(error).splitlines()[0]
-        raise RunError(f"{folder / 'model.safetensors'} cannot be read: {reason}") from None
+        raise RunError(f"{path} cannot be read: {str(error).splitlines()[0]}") from None
+
+
+def evaluate(folder: Path, overrides: dict[str, Any], games: int | None = None) -> pd.DataFrame:
+    """Plays a stored run's model, stores the games in its evaluations.csv and returns them.
+
+    `overrides` replace parameters of the run (difficulty, sticky_actions, evaluation_epsilon).
+    Raises RunError or ParameterError on bad input.
+    """
+    prepare_process()
+    network, parameters = stored_agent(folder, overrides)
+    games = games or parameters.evaluation_games
     seed, trained = parameters.seeds[0], evaluation.trained_games(folder / "model.safetensors")
     playing = evaluation.play(network, parameters, games, seed)
     played = list(tqdm(playing, total=games, desc="evaluating", unit="game", mininterval=2))
     store_evaluation(folder, played, trained)
-    if video is not None:
-        evaluation.film(network, parameters, video, 0, seed)
     return pd.DataFrame([asdict(game) for game in played]).sort_values("game", ignore_index=True)
 
 
