@@ -183,6 +183,7 @@ def _typeset(text: str, stamp: str, made: Path) -> None:
         f"--metadata=subtitle:{SUBTITLE}",
         "--metadata=lang:en-GB",
         "--metadata=link-citations:true",
+        *([f"--metadata=stamp:{stamp}"] if stamp else []),
     ]
     source = "markdown"
     html = [
@@ -193,7 +194,6 @@ def _typeset(text: str, stamp: str, made: Path) -> None:
         "--toc-depth=2",
         f"--variable=script:{(TEMPLATES / 'report.js').read_text(encoding='utf-8')}",
         f"--css={TEMPLATES / 'report.css'}",
-        *([f"--metadata=stamp:{stamp}"] if stamp else []),
         f"--template={TEMPLATES / 'report.html'}",
     ]
     pypandoc.convert_text(
@@ -202,7 +202,6 @@ def _typeset(text: str, stamp: str, made: Path) -> None:
     paper = [
         *shared,
         f"--template={TEMPLATES / 'report.typ'}",
-        *([f"--metadata=stamp:{stamp}"] if stamp else []),
     ]
     pypandoc.convert_text(
         text, "typst", source, extra_args=paper, outputfile=str(made / "report.typ")
