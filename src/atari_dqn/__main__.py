@@ -114,12 +114,9 @@ def evaluate(
         raise ParameterError(f"--video {str(video)!r}: expected FILE.mp4 in a folder that exists")
     played = runs.evaluate(run_dir, given, games)
     if video is not None:
-        from atari_dqn import films  # what it draws with takes seconds to import
+        from atari_dqn import clips  # what it draws with takes seconds to import
 
-        network, parameters = runs.stored_agent(run_dir, given)
-        title, seed = runs.title(parameters.agents[0]), parameters.seeds[0]
-        film = films.play_with_instruments(network, parameters, title, seed, game=0)
-        runs.write_atomically(video, film.video)
+        clips.write_game(run_dir, given, video)
     print(
         f"{len(played)} games: mean score {played.score.mean():.1f}, "
         f"{played.won.sum()} won, {(played.knockout == 1).sum()} by knock-out"

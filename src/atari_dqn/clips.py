@@ -1,5 +1,8 @@
 """The films that the report shows: of which runs, which games, and what their captions say."""
 
+from pathlib import Path
+from typing import Any
+
 import pandas as pd
 from torch import nn
 
@@ -136,3 +139,12 @@ def show_knockout(section: Section, label: str) -> None:
         alt=ALT.format("a knock-out"),
         data=run.name,
     )
+
+
+def write_game(folder: Path, overrides: dict[str, Any], path: Path) -> None:
+    """Films the first evaluation game of a stored run's model, with `overrides` of its parameters;
+    raises what `runs.stored_agent` does, or RunError if `path` cannot be written."""
+    network, parameters = runs.stored_agent(folder, overrides)
+    title, seed = runs.title(parameters.agents[0]), parameters.seeds[0]
+    film = films.play_with_instruments(network, parameters, title, seed, game=0)
+    runs.write_atomically(path, film.video)
