@@ -1,14 +1,16 @@
-"""The three agents. Each is a network and a rule for the value of the next state:
+"""The three agents. Each is a network and a target, towards which Q(s_tm1, a_tm1) is moved:
 
-    dqn                 NatureNetwork    max_a Q_target(s', a)
-    double_dqn          NatureNetwork    Q_target(s', argmax_a Q_online(s', a))
-    dueling_double_dqn  DuelingNetwork   Q_target(s', argmax_a Q_online(s', a))
+    dqn                 NatureNetwork    r + gamma max_a Q_target(s', a)
+    double_dqn          NatureNetwork    r + gamma Q_target(s', argmax_a Q_online(s', a))
+    dueling_double_dqn  DuelingNetwork   r + gamma Q_target(s', argmax_a Q_online(s', a))
 
-Everything else, one gradient step on (r + gamma * value(s') - Q_online(s, a))^2, they share.
-Names carry time as in dqn_zoo: s_tm1, a_tm1 -> r_t, s_t.
+Everything else, one gradient step on (target - Q_online(s, a))^2, they share. This is the reference
+for the learner in C++ (`native`), which trains where it can. Names carry time as in dqn_zoo:
+s_tm1, a_tm1 -> r_t, s_t.
 """
 
 from collections.abc import Callable
+from copy import deepcopy
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,16 +23,18 @@ from atari_dqn.params import ParameterError, Parameters
 from atari_dqn.replay import Batch
 
 
-def q_learning(q_target_t: Tensor, s_t: Tensor, online: nn.Module) -> Tensor:
-    """Value [B] of the next states (Mnih et al., 2015, algorithm 1). q_target_t: [B, A]."""
-    return q_target_t.max(dim=1).values
+def q_learning(batch: Batch, online: nn.Module, target_network: nn.Module) -> Tensor:
+    """Targets [B] of DQN (Mnih et al., 2015, algorithm 1)."""
+    q_t = target_network(batch.s_t)  # [B, A]
+    return batch.r_t + batch.discount_t * q_t.max(dim=1).values
 
 
-def double_q_learning(q_target_t: Tensor, s_t: Tensor, online: nn.Module) -> Tensor:
-    """Value [B] of the next states: the online network selects, the target network evaluates
-    (van Hasselt et al., 2016, equation 4). q_target_t: [B, A]."""
-    a_t = online(s_t).argmax(dim=1, keepdim=True)  # [B, 1]
-    return q_target_t.gather(1, a_t).squeeze(1)
+def double_q_learning(batch: Batch, online: nn.Module, target_network: nn.Module) -> Tensor:
+    """Targets [B] of Double DQN: the online network selects, the target network evaluates
+    (van Hasselt et al., 2016, equation 4)."""
+    a_t = online(batch.s_t).argmax(dim=1, keepdim=True)  # [B, 1]
+    q_t = target_network(batch.s_t)  # [B, A]
+    return batch.r_t + batch.discount_t * q_t.gather(1, a_t).squeeze(1)
 
 
 @dataclass(frozen=True)
@@ -39,7 +43,7 @@ class Agent:
 
     title: str
     network: type[nn.Module]
-    value: Callable[[Tensor, Tensor, nn.Module], Tensor]
+    target: Callable[[Batch, nn.Module, nn.Module], Tensor]
 
 
 AGENTS = {
@@ -52,6 +56,8 @@ AGENTS = {
 class Learner:
     """The online network, its target network and the optimiser."""
 
+    kind = "torch"
+
     def __init__(
         self,
         agent: Agent,
@@ -62,15 +68,9 @@ class Learner:
     ):
         self.agent, self.params = agent, params
         self.device = torch_device(params.device)
-        with torch.random.fork_rng():  # nothing but the initial weights is drawn from torch
-            torch.manual_seed(seed)
-            self.online = agent.network(params.frame_stack, actions).to(self.device)
-            self.target = agent.network(params.frame_stack, actions).to(self.device)
-        if initial is not None:
-            transfer(initial, self.online, params.transferred_layers)
+        self.online = initial_network(agent, actions, params, seed, initial).to(self.device)
         self.online.convolutions.requires_grad_(not params.freeze_convolutions)
-        self.target.load_state_dict(self.online.state_dict())
-        self.target.requires_grad_(False)
+        self.target = deepcopy(self.online).requires_grad_(False)
         learned = [weight for weight in self.online.parameters() if weight.requires_grad]
         self.optimiser = torch.optim.Adam(
             learned, lr=params.learning_rate, eps=params.adam_epsilon, fused=True
@@ -82,43 +82,28 @@ class Learner:
         """Bytes [N, 84, 84, S] to Q-values float32 [N, A]."""
         return self.online(self._tensor(observations)).cpu().numpy()
 
-    def learn(self, batch: Batch, updates: int) -> tuple[float, float]:
-        """Makes `updates` gradient steps, each on its share of the batch.
+    def learn(self, batch: Batch) -> tuple[float, float]:
+        """Makes one gradient step, and updates the target network if that is due.
 
-        The target network must not change in between, so that one pass serves them all; then it
-        is updated if that is due. Returns the means of the loss and of Q(s_tm1, a_tm1).
+        Returns the batch's mean loss and mean Q(s_tm1, a_tm1).
         """
-        s_t, a_tm1 = self._tensor(batch.s_t), self._tensor(batch.a_tm1)
-        r_t, continues = self._tensor(batch.r_t), self._tensor(batch.continues)
+        batch = Batch(**{name: self._tensor(array) for name, array in vars(batch).items()})
         with torch.no_grad():
-            q_target_t = self.target(s_t)  # [updates * B, A]
-        losses, values = 0.0, 0.0
-        size = len(a_tm1) // updates
-        for share in (slice(k * size, (k + 1) * size) for k in range(updates)):
-            with torch.no_grad():
-                value_t = self.agent.value(q_target_t[share], s_t[share], self.online)  # [B]
-                target = r_t[share] + self.params.gamma * continues[share] * value_t  # [B]
-            q_tm1 = self.online(self._tensor(batch.s_tm1[share]))  # [B, A]
-            q_a_tm1 = q_tm1.gather(1, a_tm1[share, None]).squeeze(1)  # [B]
-            loss = nn.functional.mse_loss(q_a_tm1, target)
-            self.optimiser.zero_grad()
-            loss.backward()
-            self.optimiser.step()
-            self.updates += 1
-            losses += loss.item()
-            values += q_a_tm1.mean().item()
+            target = self.agent.target(batch, self.online, self.target)  # [B]
+        q_tm1 = self.online(batch.s_tm1)  # [B, A]
+        q_a_tm1 = q_tm1.gather(1, batch.a_tm1[:, None]).squeeze(1)  # [B]
+        loss = nn.functional.mse_loss(q_a_tm1, target)
+        self.optimiser.zero_grad()
+        loss.backward()
+        self.optimiser.step()
+        self.updates += 1
         if self.updates % self.params.target_update_period == 0:
             self._update_target()
-        return losses / updates, values / updates
+        return loss.item(), q_a_tm1.mean().item()
 
     def set_learning_rate(self, rate: float) -> None:
         for group in self.optimiser.param_groups:
             group["lr"] = rate
-
-    def updates_until_target(self) -> int:
-        """How many updates may be made before the target network changes."""
-        period = self.params.target_update_period
-        return period - self.updates % period
 
     @torch.no_grad()
     def _update_target(self) -> None:
@@ -131,6 +116,14 @@ class Learner:
     def _tensor(self, array: np.ndarray) -> Tensor:
         return torch.from_numpy(array).to(self.device)
 
+    def weights(self) -> dict[str, Tensor]:
+        """The online network's."""
+        return self.online.state_dict()
+
+    def set_weights(self, weights: dict[str, Tensor]) -> None:
+        """Replaces the online network's."""
+        self.online.load_state_dict(weights)
+
     def get_state(self) -> dict[str, Any]:
         """Weights, the optimiser's moments and counters; every value a tensor or a number."""
         moments = {
@@ -139,7 +132,7 @@ class Learner:
             for key, value in self.optimiser.state.get(parameter, {}).items()
         }
         return {
-            "online": self.online.state_dict(),
+            "online": self.weights(),
             "target": self.target.state_dict(),
             "moments": moments,
             "updates": self.updates,
@@ -168,6 +161,23 @@ class Learner:
                 "exp_avg": first,
                 "exp_avg_sq": second,
             }
+
+
+def initial_network(
+    agent: Agent,
+    actions: int,
+    params: Parameters,
+    seed: int,
+    initial: dict[str, Tensor] | None = None,
+) -> nn.Module:
+    """The network that training starts from: PyTorch's random weights and, where `initial` has
+    any to transfer, those."""
+    with torch.random.fork_rng():  # nothing but the initial weights is drawn from torch
+        torch.manual_seed(seed)
+        network = agent.network(params.frame_stack, actions)
+    if initial is not None:
+        transfer(initial, network, params.transferred_layers)
+    return network
 
 
 @torch.no_grad()

@@ -13,7 +13,7 @@ What an agent sees of 12 emulator frames, with frame_skip 4 and frame_stack 3:
     observation                              [4, 8, 12]  the last 3 images, oldest first
 """
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import cv2
@@ -28,6 +28,17 @@ FIRE = 1  # index of FIRE among the actions of both games
 
 ALEInterface.setLoggerMode(LoggerMode.Error)
 cv2.setNumThreads(1)
+
+
+@dataclass(frozen=True)
+class GameRecord:
+    """What a game can be played again from, frame by frame: the emulator knows no chance of its
+    own, so that a fresh one with any seed does the same."""
+
+    idle_frames: int  # before the first action
+    actions: bytes  # a byte an agent step: the action's index among the cartridge's
+    rng: dict[str, Any] | None  # where actions are sticky, the generator of that chance when the
+    # game began (as numpy's PCG64 gives its state)
 
 
 @dataclass(frozen=True)
@@ -104,6 +115,8 @@ class AtariGame(gymnasium.Env):
         self._screens = np.zeros((2, 210, 160), np.uint8)  # the two frames that are maximised
         self.score, self.frames, self.length, self.lives = 0.0, 0, 0, 0
         self.last_action = 0  # the one executed in the last frame
+        self.record = GameRecord(0, b"", None)  # of the game's beginning; `played` has the actions
+        self.chosen = bytearray()  # actions of this game
 
     def _seed_emulator(self, seed: int) -> None:
         self.ale.setInt("random_seed", seed)
@@ -111,15 +124,23 @@ class AtariGame(gymnasium.Env):
         self.ale.setDifficulty(self.difficulty)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
-        """Starts a game. Returns (image uint8 [84, 84], info)."""
+        """Starts a game, with `options["record"]` the recorded one, whose actions are then to be
+        stepped. Returns (image uint8 [84, 84], info)."""
         if seed is not None:  # as ale_py.AtariEnv derives its two seeds from one
             np_seed, ale_seed = np.random.SeedSequence(seed).generate_state(2)
             super().reset(seed=int(np_seed))
             self._seed_emulator(int(ale_seed.astype(np.int32)))
         self.ale.reset_game()
         self.score, self.frames, self.length, self.last_action = 0.0, 0, 0, 0
-        idle = self.np_random.integers(1, self.noop_max + 1) if self.noop_max else 0
-        for _ in range(idle):
+        record = (options or {}).get("record")
+        if record is None:
+            idle = int(self.np_random.integers(1, self.noop_max + 1)) if self.noop_max else 0
+            chance = self.np_random.bit_generator.state if self.sticky_actions else None
+            record = GameRecord(idle, b"", chance)
+        elif self.sticky_actions:
+            self.np_random.bit_generator.state = record.rng
+        self.record, self.chosen = record, bytearray()
+        for _ in range(record.idle_frames):
             self._act(0)
         if self.facts.fire_to_serve:
             self._serve()
@@ -135,6 +156,7 @@ class AtariGame(gymnasium.Env):
         """
         reward, older, newest = 0.0, self._screens[1], self._screens[0]
         pooled = False
+        self.chosen.append(action)
         for frame in range(self.frame_skip):
             reward += self._act(action)
             if self.ale.game_over():
@@ -155,6 +177,10 @@ class AtariGame(gymnasium.Env):
         truncated = not terminated and self.frames >= self.max_game_frames
         info = {"lives": self.lives, "life_lost": life_lost}
         return self._image(newest), reward, terminated, truncated, info
+
+    def played(self) -> GameRecord:
+        """The game so far."""
+        return replace(self.record, actions=bytes(self.chosen))
 
     def render(self) -> np.ndarray:
         """The television's picture, uint8 [210, 160, 3]."""
@@ -223,6 +249,7 @@ class AtariGame(gymnasium.Env):
             "length": self.length,
             "lives": self.lives,
             "last_action": self.last_action,
+            "record": asdict(self.played()),
         }
 
     def set_state(self, state: dict[str, Any]) -> None:
@@ -234,6 +261,8 @@ class AtariGame(gymnasium.Env):
         self.score, self.frames = state["score"], state["frames"]
         self.length, self.lives = state["length"], state["lives"]
         self.last_action = state["last_action"]
+        self.record = GameRecord(**state["record"])
+        self.chosen = bytearray(self.record.actions)
 
 
 def game_of(params: Parameters) -> AtariGame:
@@ -255,6 +284,7 @@ class FinishedGame:
     score: float  # points, raw and unclipped
     length: int  # agent steps
     frames: int  # emulator frames, idle and serving ones included
+    record: GameRecord
 
 
 @dataclass(frozen=True)
@@ -307,7 +337,7 @@ class LockstepGames:
             rewards[index] = learned_reward(self.params, raw, info["life_lost"])
             if terminated[index] or truncated:
                 self.ended[index] = True
-                finished.append(FinishedGame(game.score, game.length, game.frames))
+                finished.append(FinishedGame(game.score, game.length, game.frames, game.played()))
         ages = np.array([game.length for game in self.games], np.int32)
         return VectorStep(self.planes[-1], ages, rewards, terminated, finished)
 

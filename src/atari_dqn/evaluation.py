@@ -1,12 +1,14 @@
 """Playing whole games with a finished agent: greedy evaluation.
 
-Everything here plays the published model, `model.safetensors` (float16), so that what is shown is
-what anyone can reproduce from the repository.
+Everything but the check of values while training plays the published model, `model.safetensors`
+(float16), so that what is shown is what anyone can reproduce from the repository. What a player is
+given and gives: observations, bytes [N, 84, 84, stack], and Q-values, float32 [N, A].
 """
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -15,9 +17,12 @@ from safetensors.torch import load_file, save
 from torch import nn
 
 from atari_dqn.agents import AGENTS, torch_device
-from atari_dqn.envs import SIZE, game_of, interleave, learned_reward
+from atari_dqn.envs import SIZE, GameRecord, game_of, interleave, learned_reward
 from atari_dqn.exploration import epsilon_greedy
+from atari_dqn.native import new_learner
 from atari_dqn.params import Parameters
+
+Player = Callable[[np.ndarray], np.ndarray]
 
 EMULATORS = 8  # games played at once
 EVALUATION = 99  # sets the random streams of evaluation apart from those of training
@@ -41,12 +46,24 @@ class PlayedGame:
     scored: float  # points of the agent alone
     conceded: float  # points of its rival
     distance: float  # pixels between the two boxers, mean over the steps; nan in other games
+    record: GameRecord  # not a column
+
+    def row(self) -> dict[str, Any]:
+        return {name: getattr(self, name) for name in PLAYED_COLUMNS}
+
+    def heading(self, trained_games: int) -> dict[str, Any]:
+        """What tells this game from all others of the run."""
+        keys = ("difficulty", "sticky_actions", "epsilon", "seed", "game")
+        return {"trained_games": trained_games, **{key: getattr(self, key) for key in keys}}
 
 
-def model_bytes(network: nn.Module, games: int) -> bytes:
+PLAYED_COLUMNS = [field.name for field in fields(PlayedGame) if field.name != "record"]
+
+
+def model_bytes(weights: dict[str, torch.Tensor], games: int) -> bytes:
     """The contents of a model.safetensors: the weights as float16, and the games of training."""
-    weights = {name: value.half().contiguous() for name, value in network.state_dict().items()}
-    return save(weights, {"games": str(games)})
+    half = {name: value.half().contiguous() for name, value in weights.items()}
+    return save(half, {"games": str(games)})
 
 
 def trained_games(path: Path) -> int:
@@ -66,6 +83,14 @@ def load_model(path: Path, params: Parameters) -> nn.Module:
     network = AGENTS[params.agents[0]].network(params.frame_stack, actions)
     network.load_state_dict(read_model(path))
     return network.requires_grad_(False).to(torch_device(params.device))
+
+
+def player_of(network: nn.Module, params: Parameters) -> Player:
+    """What plays with the network of `params`' first agent: the learner that trains with them, so
+    that an evaluation gives the same games wherever it is repeated, as training does."""
+    learner = new_learner(AGENTS[params.agents[0]], len(game_of(params).actions), params, seed=0)
+    learner.set_weights(network.state_dict())
+    return learner.q_values
 
 
 class Table:
@@ -112,10 +137,11 @@ class Table:
             seed,
             *emulator.points(),
             float(np.mean(self.distances)),
+            emulator.played(),
         )
 
 
-def play(network: nn.Module, params: Parameters, games: int, seed: int) -> Iterator[PlayedGame]:
+def play(player: Player, params: Parameters, games: int, seed: int) -> Iterator[PlayedGame]:
     """Plays games 0 to `games` - 1 to their ends, several at once, each as it ends.
 
     Every game that is begun is counted, so that short games are not favoured.
@@ -129,7 +155,7 @@ def play(network: nn.Module, params: Parameters, games: int, seed: int) -> Itera
             break
     epsilon = params.evaluation_epsilon
     while tables:
-        q_values = q_of(network, np.stack([table.planes for table in tables], axis=1))
+        q_values = q_of(player, np.stack([table.planes for table in tables], axis=1))
         for table, q_value in zip(list(tables), q_values, strict=True):
             action = epsilon_greedy(q_value[None], epsilon, table.rng)[0]
             if not table.step(int(action)):
@@ -153,14 +179,12 @@ def conditions(params: Parameters) -> list[Parameters]:
     return [params, *(each for each in changed if each != params)]
 
 
-@torch.no_grad()
-def q_of(network: nn.Module, planes: np.ndarray) -> np.ndarray:
+def q_of(player: Player, planes: np.ndarray) -> np.ndarray:
     """Q-values float32 [N, A] of images uint8 [stack, N, 84*84]."""
-    device = next(network.parameters()).device
     stack, count, pixels = planes.shape
     padded = np.zeros((stack, -(-count // BATCH) * BATCH, pixels), np.uint8)
     padded[:, :count] = planes
-    return network(torch.from_numpy(interleave(padded)).to(device))[:count].cpu().numpy()
+    return player(interleave(padded))[:count]
 
 
 @dataclass(frozen=True)
@@ -174,7 +198,7 @@ class ValueCheck:
     score: float  # points, mean of those greedy games
 
 
-HELD_OUT_STATES, VALUE_GAMES = 512, 4
+HELD_OUT_STATES, VALUE_GAMES = 512, 20
 
 
 def held_out_states(params: Parameters) -> np.ndarray:
@@ -191,22 +215,21 @@ def held_out_states(params: Parameters) -> np.ndarray:
     return np.stack(states)
 
 
-@torch.no_grad()
 def check_values(
-    network: nn.Module, params: Parameters, held_out: np.ndarray, episode: int, seed: int
-) -> ValueCheck:
+    player: Player, params: Parameters, held_out: np.ndarray, episode: int, seed: int
+) -> tuple[ValueCheck, list[PlayedGame]]:
     """Compares predicted values with what then happened (van Hasselt et al., 2016, figure 3).
 
-    `held_out` are observations [N, 84, 84, stack], of which the mean greatest value is taken.
+    `held_out` are observations [N, 84, 84, stack], of which the mean greatest value is taken. The
+    games are returned too.
     """
-    device = next(network.parameters()).device
     tables = [Table(params) for _ in range(VALUE_GAMES)]
     for number, table in enumerate(tables):
         table.start(VALUE_GAMES * episode + number, seed)
     predictions: list[list[float]] = [[] for _ in tables]
     playing = list(range(VALUE_GAMES))
     while playing:
-        q_values = q_of(network, np.stack([tables[number].planes for number in playing], axis=1))
+        q_values = q_of(player, np.stack([tables[number].planes for number in playing], axis=1))
         for number, q_value in zip(list(playing), q_values, strict=True):
             predictions[number].append(float(q_value.max()))
             rng = tables[number].rng
@@ -214,14 +237,15 @@ def check_values(
             if tables[number].step(int(action)):
                 playing.remove(number)
     returns = np.concatenate([discounted(table.rewards, params.gamma) for table in tables])
-    held_out_q = network(torch.from_numpy(held_out).to(device)).max(dim=1).values
-    return ValueCheck(
+    held_out_q = player(held_out).max(axis=1)
+    check = ValueCheck(
         episode,
         float(held_out_q.mean()),
         float(np.concatenate(predictions).mean()),
         float(returns.mean()),
         float(np.mean([table.emulator.score for table in tables])),
     )
+    return check, [table.result(seed) for table in tables]
 
 
 def discounted(rewards: list[float], gamma: float) -> np.ndarray:

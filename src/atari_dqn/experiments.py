@@ -21,9 +21,9 @@ from atari_dqn.runs import Run, RunError
 
 # The order of training and of the report; experiments that are not listed come last.
 ORDER = (
-    *("boxing_final", "breakout_final", "boxing_expert"),
-    *("boxing_transfer", "boxing_low_gamma", "boxing_high_gamma", "boxing_sensitivity"),
-    *("breakout_late", "boxing_early", "breakout_early", "boxing_transfer_controls"),
+    *("boxing_final", "breakout_final", "breakout_late", "boxing_expert", "boxing_early"),
+    *("breakout_early", "boxing_low_gamma", "boxing_high_gamma", "boxing_transfer"),
+    *("boxing_sensitivity", "boxing_transfer_controls"),
 )
 KNOWN = (RunError, CheckpointError, ParameterError)  # whose messages say what to do
 WAITING = "waiting"  # what `status` says of a run whose source is not complete

@@ -28,8 +28,8 @@ from PIL import Image, ImageDraw, ImageFont
 from torch import nn
 
 from atari_dqn import plots
-from atari_dqn.envs import SIZE, game_of
-from atari_dqn.evaluation import PlayedGame, Table, q_of
+from atari_dqn.envs import SIZE, game_of, interleave
+from atari_dqn.evaluation import PlayedGame, Player, Table, player_of, q_of
 from atari_dqn.exploration import epsilon_greedy
 from atari_dqn.networks import DuelingNetwork
 from atari_dqn.params import Parameters
@@ -128,9 +128,10 @@ class _Recording:
 def _record(network: nn.Module, params: Parameters, seed: int, game: int) -> _Recording:
     table, ended = Table(params), False
     table.start(game, seed)
+    player = player_of(network, params)
     decisions, scores = [], [0.0]
     while not ended:
-        q_value, value = _q_and_value(network, table.planes[:, None])
+        q_value, value = _q_and_value(network, player, table.planes[:, None])
         action = int(epsilon_greedy(q_value[None], params.evaluation_epsilon, table.rng)[0])
         ended = table.step(action)
         decisions.append((action, q_value, value))
@@ -140,15 +141,21 @@ def _record(network: nn.Module, params: Parameters, seed: int, game: int) -> _Re
     return _Recording(params, table.result(seed), symbol, *arrays)
 
 
-def _q_and_value(network: nn.Module, planes: np.ndarray) -> tuple[np.ndarray, float]:
+def _q_and_value(
+    network: nn.Module, player: Player, planes: np.ndarray
+) -> tuple[np.ndarray, float]:
     """Q-values float32 [A] of an observation (uint8 [stack, 1, 84*84]), and its value: what the
     value stream of a dueling network says, else the greatest Q-value."""
+    q_value = q_of(player, planes)[0]
     if not isinstance(network, DuelingNetwork):
-        q_value = q_of(network, planes)[0]
         return q_value, float(q_value.max())
     said = []
-    with network.value_output.register_forward_hook(lambda *call: said.append(call[2])):
-        q_value = q_of(network, planes)[0]
+    device = next(network.parameters()).device
+    with (
+        torch.no_grad(),
+        network.value_output.register_forward_hook(lambda *call: said.append(call[2])),
+    ):
+        network(torch.from_numpy(interleave(planes)).to(device))
     return q_value, float(said[0][0, 0])
 
 

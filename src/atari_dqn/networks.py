@@ -11,38 +11,6 @@ from torch import Tensor, nn
 FEATURES = 7 * 7 * 64  # what the convolutions make of 84x84 pixels
 
 
-class _OneDnnLinear(torch.autograd.Function):
-    """y = x W^T + b and its gradients by oneDNN, which torch uses for convolutions only.
-
-    With a small batch, torch's own matrix products reach half of that speed on some processors.
-    """
-
-    @staticmethod
-    def forward(context, x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
-        context.save_for_backward(x, weight)
-        return _product(x, weight, bias)  # [B, out]
-
-    @staticmethod
-    def backward(context, gradient: Tensor):
-        x, weight = context.saved_tensors
-        to_x = _product(gradient, weight.t()) if context.needs_input_grad[0] else None  # [B, in]
-        return to_x, _product(gradient.t(), x.t()), gradient.sum(0)  # ..., [out, in], [out]
-
-
-def _product(x: Tensor, weight: Tensor, bias: Tensor | None = None) -> Tensor:
-    """x W^T + b; the operator that torch.compile lowers linear layers to on a CPU."""
-    return torch.ops.mkldnn._linear_pointwise(x, weight, bias, "none", [], "")
-
-
-class Linear(nn.Linear):
-    """`nn.Linear`, faster on a CPU that oneDNN supports."""
-
-    def forward(self, x: Tensor) -> Tensor:
-        if x.device.type == "cpu" and torch.backends.mkldnn.is_available():
-            return _OneDnnLinear.apply(x, self.weight, self.bias)
-        return super().forward(x)
-
-
 class Convolutions(nn.Sequential):
     """The feature extractor of Mnih et al. (2015), Methods, "Model architecture"."""
 
@@ -69,7 +37,7 @@ class NatureNetwork(nn.Module):
     def __init__(self, stack: int, actions: int):
         super().__init__()
         self.convolutions = Convolutions(stack)
-        self.hidden = Linear(FEATURES, 512)
+        self.hidden = nn.Linear(FEATURES, 512)
         self.output = nn.Linear(512, actions)
 
     def forward(self, observations: Tensor) -> Tensor:
@@ -85,9 +53,9 @@ class DuelingNetwork(nn.Module):
     def __init__(self, stack: int, actions: int):
         super().__init__()
         self.convolutions = Convolutions(stack)
-        self.value_hidden = Linear(FEATURES, 512)
+        self.value_hidden = nn.Linear(FEATURES, 512)
         self.value_output = nn.Linear(512, 1)
-        self.advantage_hidden = Linear(FEATURES, 512)
+        self.advantage_hidden = nn.Linear(FEATURES, 512)
         self.advantage_output = nn.Linear(512, actions)
 
     def forward(self, observations: Tensor) -> Tensor:

@@ -25,7 +25,7 @@ from ruamel.yaml.error import YAMLError
 
 # Raise by one when the training code changes in a way that changes results; runs of another
 # version are stale. tests/test_training_version.py fails until somebody has decided.
-TRAINING_VERSION = 1
+TRAINING_VERSION = 2
 
 AgentName = Literal["dqn", "double_dqn", "dueling_double_dqn"]
 GameName = Literal["boxing", "breakout"]
@@ -93,7 +93,7 @@ class Parameters(BaseModel):
     warmup_learning_rate: Number = Field(0.0, ge=0, description="step size before the first game")
     adam_epsilon: Number = Field(1e-8, gt=0, description="added to Adam's denominator")
     gamma: Number = Field(0.99, ge=0, lt=1, description="discount an agent step")
-    target_update_period: int = Field(1000, ge=1, description="updates between target updates")
+    target_update_period: int = Field(2000, ge=1, description="updates between target updates")
     tau: Number = Field(1.0, gt=0, le=1, description="share of the way to the online weights")
 
     # Training: transfer
@@ -113,6 +113,9 @@ class Parameters(BaseModel):
         [], description="games after which the weights are kept"
     )
     device: Literal["auto", "cpu", "cuda"] = Field("auto", description="where networks live")
+    learner: Literal["auto", "native", "torch"] = Field(
+        "auto", description="what makes the updates; auto is the native one on a CPU, if it builds"
+    )
     evaluation_games: int = Field(100, ge=1, description="games of the final evaluation")
     evaluation_epsilon: Number = Field(0.001, ge=0, le=1, description="probability, evaluating")
     evaluation_difficulties: list[int] = Field(
@@ -173,7 +176,8 @@ class Parameters(BaseModel):
         return _digest(self.model_dump(exclude=NOT_TRAINING, exclude_defaults=True))
 
 
-NOT_VARIANT = {"experiment", "profile", "agents", "seeds", "episodes", "device", "variations"}
+NOT_VARIANT = {"experiment", "profile", "agents", "seeds", "episodes", "variations"}
+NOT_VARIANT |= {"device", "learner"}
 NOT_TRAINING = NOT_VARIANT | {"snapshot_games", "evaluation_games", "evaluation_epsilon"}
 EVALUATED_BESIDES = {"evaluation_difficulties", "evaluation_stickiness"}
 NOT_TRAINING |= EVALUATED_BESIDES
@@ -225,7 +229,12 @@ def parse(values: dict[str, Any], source: str) -> Parameters:
 
 
 def read_values(path: Path) -> dict[str, Any]:
-    """The keys and values of a YAML file."""
+    """The keys and values of a YAML file, on top of those of the files that its `base` names, from
+    the first to the last; their paths are relative to its own."""
+    return _read_values(path, ())
+
+
+def _read_values(path: Path, above: tuple[Path, ...]) -> dict[str, Any]:
     try:
         values = YAML(typ="safe", pure=True).load(path.read_text(encoding="utf-8"))
     except OSError as error:
@@ -234,7 +243,19 @@ def read_values(path: Path) -> dict[str, Any]:
         raise ParameterError(f"{path}: " + _yaml_message(error)) from None
     if not isinstance(values, dict) or not all(isinstance(key, str) for key in values):
         raise ParameterError(f"{path}: expected lines of 'key: value'")
-    return values
+    given = values.pop("base", [])
+    names = [given] if isinstance(given, str) else given
+    merged: dict[str, Any] = {}
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        raise ParameterError(f"{path}: base: {given!r} is not allowed: must be a file, or a list")
+    for name in names:
+        base = path.parent / name
+        if any(base.resolve() == other.resolve() for other in (path, *above)):
+            raise ParameterError(f"{path}: base: {name!r} is not allowed: it is based on this file")
+        if not base.is_file():
+            raise ParameterError(f"{path}: base: {name!r} is not allowed: there is no {base}")
+        merged |= _read_values(base, (path, *above))
+    return merged | values
 
 
 def _yaml_message(error: Exception) -> str:
@@ -251,17 +272,12 @@ def load(path: Path | str, overrides: dict[str, Any] | None = None) -> Parameter
     """Parameters from a file, named after it, or from a stored run's params.yaml, with `overrides`
     put on top.
 
-    A file in a folder `quick` or `smoke` says how it differs from the file of the same name in
-    the folder above. An override that changes anything but which agents and seeds are run moves
+    An override that changes anything but which agents and seeds are run moves
     the experiment to a name of its own, `<experiment>+<hash8>`: what the file describes is never
     touched.
     """
     path = Path(path)
     values = read_values(path)
-    folder = path.absolute().parent
-    full = folder.parent / path.name
-    if folder.name in PROFILES and full.exists():
-        values = {**read_values(full), **values}
     named = values.setdefault("experiment", path.stem)
     if named != path.stem and path.name != STORED:
         raise ParameterError(
@@ -289,7 +305,7 @@ def variants(params: Parameters) -> dict[str, Parameters]:
 
 def _renamed(base: Parameters, changed: Parameters) -> Parameters:
     """`changed` under a name of its own, if it differs from `base` in more than what is picked."""
-    picks = {"agents", "seeds", "device", "variations"}
+    picks = {"agents", "seeds", "device", "learner", "variations"}
     if changed.model_dump(exclude=picks) == base.model_dump(exclude=picks):
         return changed
     name, _, renamed = base.experiment.partition("+")
@@ -305,11 +321,11 @@ def resolve(values: dict[str, Any], folder: Path) -> Parameters:
     An experiment without a file there must bring all that differs from the defaults, and name its
     game, lest a name that is spelt wrong trains something else.
     """
+    values = {key: value for key, value in values.items() if key != "base"}  # of papermill -f FILE
     given = parse(values, "notebook parameters")
     profile = "" if given.profile == "full" else given.profile
     path = folder / profile / f"{given.experiment}.yaml"
     if path.exists():
-        _refuse_full_size(values, path)
         return load(path, values)
     names = [file.stem for file in folder.glob("*.yaml")]
     nearest = difflib.get_close_matches(given.experiment, names, n=1, cutoff=0.85)
@@ -321,24 +337,6 @@ def resolve(values: dict[str, Any], folder: Path) -> Parameters:
             f"experiment: {given.experiment!r} is not allowed: there is no {path}; {why}"
         )
     return given
-
-
-SIZES = {"max_game_frames", "replay_capacity", "learning_starts"}  # of what a small profile shrinks
-
-
-def _refuse_full_size(values: dict[str, Any], path: Path) -> None:
-    """Raises ParameterError if `values` undo what makes the file of a small profile small, as they
-    do if they come from the full file."""
-    full, profile = path.parent.parent / path.name, path.parent.name
-    if profile not in PROFILES or not full.exists():
-        return
-    large = read_values(full)
-    shrunk = SIZES & read_values(path).keys()
-    if shrunk and all(key in values and values[key] == large.get(key) for key in shrunk):
-        raise ParameterError(
-            f"profile: {profile!r} is not allowed beside the sizes of params/{full.name}: "
-            f"give params/{profile}/{path.name} instead"
-        )
 
 
 def pick(params: Parameters, agent: str | None, seed: int | None) -> Parameters:

@@ -24,8 +24,11 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
-from atari_dqn import checkpoints, evaluation, params
+from atari_dqn import checkpoints, evaluation, params, records
+from atari_dqn.agents import Learner
+from atari_dqn.envs import GameRecord
 from atari_dqn.evaluation import ValueCheck
+from atari_dqn.native import NativeLearner
 from atari_dqn.params import TRAINING_VERSION
 from atari_dqn.runs import (
     COMPLETE,
@@ -44,8 +47,8 @@ CHECKPOINT_SECONDS = 900.0  # training time between checkpoints
 VALUES_PERIOD = 100  # games between rows of values.csv
 VERSIONED = ("torch", "numpy", "ale-py", "gymnasium", "opencv-python-headless", "zstandard")
 LOGS = {
-    "episodes.csv": [field.name for field in fields(Episode)],
-    "timing.csv": ["episode", "seconds"],
+    "episodes.csv": Episode.columns(),
+    "timing.csv": ["episode", "seconds", "cpu_seconds"],
     "values.csv": [field.name for field in fields(ValueCheck)],
 }
 
@@ -133,31 +136,33 @@ class Recorder:
         saved = checkpoints.load(run.state_folder)
         initial = run.initial_weights() if saved is None else None
         self.trainer = Trainer(run.params, run.agent, run.seed, initial)
-        self.episodes, self.seconds = 0, 0.0
+        self.episodes, self.seconds, self.cpu_seconds = 0, 0.0, 0.0
         self.scores: list[float] = []
         self.snapshots: dict[str, bytes] = {}
         self.sessions: list[dict[str, Any]] = []
         if saved is None:
             self._refuse_to_overwrite()
-            written = {name: ",".join(header) + "\n" for name, header in LOGS.items()}
+            written = {name: (",".join(header) + "\n").encode() for name, header in LOGS.items()}
+            written[records.FILE] = b""
         else:
             self.trainer.set_state(saved["trainer"])
             self.episodes, self.seconds = saved["episodes"], saved["seconds"]
+            self.cpu_seconds = saved["cpu_seconds"]
             self.scores, self.snapshots = saved["scores"], saved["snapshots"]
             self.sessions = saved["sessions"]
             written = saved["written"]
         self.files = {}
-        for name in LOGS:  # what was logged after the checkpoint will be logged again
+        for name, data in written.items():  # what came after the checkpoint will come again
             path = run.folder / name
-            write_atomically(path, written[name].encode())
-            self.files[name] = path.open("a", encoding="utf-8")
+            write_atomically(path, data)
+            self.files[name] = path.open("ab")
         for name, data in self.snapshots.items():
             self._write_snapshot(name, data)
         params.dump(run.params, run.folder / "params.yaml")
-        self.clock = time.monotonic()
+        self.clock, self.cpu_clock = time.monotonic(), time.process_time()
         self.saved_at = self.shown_at = self.seconds
         self.shown_steps = self.trainer.agent_steps
-        self.sessions.append(_session(self.episodes + 1, str(self.trainer.learner.device)))
+        self.sessions.append(_session(self.episodes + 1, self.trainer.learner))
         if initial is not None:
             model = (run.source().folder / "model.safetensors").read_bytes()
             self.sessions[-1]["initial_weights"] = hashlib.sha256(model).hexdigest()
@@ -180,7 +185,10 @@ class Recorder:
     def _compare_sessions(self) -> None:
         """Warns if this machine is not the one that the run began on."""
         first, now = self.sessions[0], self.sessions[-1]
-        for key in ("processor", "versions", "threads", "device"):
+        decisive = ["learner", "versions", "threads", "device"]
+        if self.trainer.learner.kind == "torch":  # whose kernels differ from processor to processor
+            decisive.append("processor")
+        for key in decisive:
             if key in first and first[key] != now[key]:
                 warnings.warn(
                     f"{self.run.name} began with {key} {first[key]} and goes on with {now[key]}: "
@@ -197,10 +205,15 @@ class Recorder:
         """Seconds of training so far, across resumes."""
         return self.seconds + time.monotonic() - self.clock
 
+    def cpu_now(self) -> float:
+        """Seconds of a processor's time that training has taken so far, likewise."""
+        return self.cpu_seconds + time.process_time() - self.cpu_clock
+
     def log(self, episode: Episode) -> None:
         self.episodes = episode.episode
-        self._append("episodes.csv", _row(episode))
-        self._append("timing.csv", f"{episode.episode},{self.now():.1f}")
+        self._append("episodes.csv", _row(episode, Episode.columns()))
+        self._append("timing.csv", f"{episode.episode},{self.now():.1f},{self.cpu_now():.1f}")
+        self._record(records.TRAINING, {"episode": episode.episode}, episode.record)
         if episode.episode % VALUES_PERIOD == 0:
             self._check_values()
         if episode.episode in self.run.params.snapshot_games:
@@ -209,11 +222,14 @@ class Recorder:
         self.write_status(RUNNING)
 
     def _check_values(self) -> None:
-        network, parameters = self.trainer.learner.online, self.run.params
-        check = evaluation.check_values(
-            network, parameters, self.held_out, self.episodes, self.run.seed
+        player, parameters = self.trainer.learner.q_values, self.run.params
+        check, games = evaluation.check_values(
+            player, parameters, self.held_out, self.episodes, self.run.seed
         )
-        self._append("values.csv", _row(check))
+        self._append("values.csv", _row(check, LOGS["values.csv"]))
+        for game in games:
+            heading = {"episode": self.episodes, "game": game.game}
+            self._record(records.VALUES, heading, game.record)
 
     @cached_property
     def held_out(self) -> np.ndarray:
@@ -221,16 +237,22 @@ class Recorder:
 
     def _take_snapshot(self) -> None:
         name = f"games-{self.episodes:05d}.safetensors"
-        self.snapshots[name] = evaluation.model_bytes(self.trainer.learner.online, self.episodes)
+        self.snapshots[name] = evaluation.model_bytes(self.trainer.learner.weights(), self.episodes)
         self._write_snapshot(name, self.snapshots[name])
 
     def _write_snapshot(self, name: str, data: bytes) -> None:
         (self.run.folder / "snapshots").mkdir(exist_ok=True)
         write_atomically(self.run.folder / "snapshots" / name, data)
 
+    def _record(self, kind: str, heading: dict[str, Any], record: GameRecord) -> None:
+        self._write(records.FILE, records.encode(kind, heading, record))
+
     def _append(self, name: str, row: str) -> None:
+        self._write(name, row.encode() + b"\n")
+
+    def _write(self, name: str, data: bytes) -> None:
         try:
-            self.files[name].write(row + "\n")
+            self.files[name].write(data)
             self.files[name].flush()
         except OSError as error:
             path = self.run.folder / name
@@ -252,14 +274,16 @@ class Recorder:
 
     def save(self) -> None:
         self.seconds, self.clock = self.now(), time.monotonic()
+        self.cpu_seconds, self.cpu_clock = self.cpu_now(), time.process_time()
         self._note_memory()
         state = {
             "trainer": self.trainer.get_state(),
             "episodes": self.episodes,
             "seconds": self.seconds,
+            "cpu_seconds": self.cpu_seconds,
             "sessions": self.sessions,
             "scores": self.scores,
-            "written": {name: (self.run.folder / name).read_text("utf-8") for name in LOGS},
+            "written": {name: (self.run.folder / name).read_bytes() for name in self.files},
             "snapshots": self.snapshots,
         }
         checkpoints.save(self.run.state_folder, state)
@@ -276,14 +300,14 @@ class Recorder:
                 stacklevel=2,
             )
         path = self.publish()
-        network = evaluation.load_model(path, parameters)
+        player = evaluation.player_of(evaluation.load_model(path, parameters), parameters)
         settings, games = evaluation.conditions(parameters), parameters.evaluation_games
         played = []
         with tqdm(
             total=len(settings) * games, desc="evaluating", leave=False, mininterval=2
         ) as bar:
             for setting in settings:
-                for game in evaluation.play(network, setting, games, self.run.seed):
+                for game in evaluation.play(player, setting, games, self.run.seed):
                     played.append(game)
                     bar.update()
                     if stopped():
@@ -295,7 +319,9 @@ class Recorder:
     def publish(self) -> Path:
         """Writes the model as it is now, for anyone to play with."""
         path = self.run.folder / "model.safetensors"
-        write_atomically(path, evaluation.model_bytes(self.trainer.learner.online, self.episodes))
+        write_atomically(
+            path, evaluation.model_bytes(self.trainer.learner.weights(), self.episodes)
+        )
         return path
 
     def write_status(self, state: str, **more: Any) -> None:
@@ -315,9 +341,11 @@ class Recorder:
             "training_version": TRAINING_VERSION,
             "identity": self.run.params.identity(),
             "device": str(self.trainer.learner.device),
+            "learner": self.trainer.learner.kind,
             "agent_steps": self.trainer.agent_steps,
             "updates": self.trainer.learner.updates,
             "wall_clock_seconds": round(self.now(), 1),
+            "cpu_seconds": round(self.cpu_now(), 1),
             "resumes": len(self.sessions) - 1,
             "sessions": self.sessions,
         }
@@ -328,7 +356,7 @@ class Recorder:
         self.sessions[-1]["peak_memory_megabytes"] = round(peak_memory() / 1e6, 1)
 
 
-def _session(first_episode: int, device: str) -> dict[str, Any]:
+def _session(first_episode: int, learner: Learner | NativeLearner) -> dict[str, Any]:
     """What this stretch of training runs on."""
     return {
         "first_episode": first_episode,
@@ -339,7 +367,8 @@ def _session(first_episode: int, device: str) -> dict[str, Any]:
         "processor": processor(),
         "cores": os.cpu_count(),
         "threads": torch.get_num_threads(),
-        "device": device,
+        "device": str(learner.device),
+        "learner": learner.kind,
     }
 
 
@@ -370,8 +399,8 @@ def _stop_signals() -> Iterator[Callable[[], bool]]:
             signal.signal(number, handler)
 
 
-def _row(record: Episode | ValueCheck) -> str:
-    return ",".join(_text(getattr(record, field.name)) for field in fields(record))
+def _row(values: Episode | ValueCheck, columns: list[str]) -> str:
+    return ",".join(_text(getattr(values, name)) for name in columns)
 
 
 def _text(value: float) -> str:

@@ -27,12 +27,12 @@ SEGMENT = 40 << 20  # bytes
 
 @dataclass(frozen=True)
 class Batch:
-    """Transitions s_tm1 -a_tm1-> (r_t, s_t), N of them; `continues` is 0 where the game ended."""
+    """Transitions s_tm1 -a_tm1-> (r_t, s_t), N of them."""
 
     s_tm1: np.ndarray  # uint8 [N, 84, 84, S]
     a_tm1: np.ndarray  # int64 [N]
     r_t: np.ndarray  # float32 [N]
-    continues: np.ndarray  # float32 [N], 0 or 1; 1 where a game was merely cut
+    discount_t: np.ndarray  # float32 [N], of the value of s_t: gamma, or 0 where the game ended
     s_t: np.ndarray  # uint8 [N, 84, 84, S]
 
 
@@ -126,13 +126,17 @@ class FrameStore:
 
 
 class ReplayMemory:
-    """A ring of `capacity` slots, shared equally by `streams` environments.
+    """A ring of `capacity` slots, shared equally by `streams` environments. `gamma` is the
+    discount of a step; a game that was merely cut goes on, as far as it is concerned.
 
     Sampling from it before it holds a transition raises ValueError.
     """
 
-    def __init__(self, capacity: int, streams: int, stack: int, seed: np.random.SeedSequence):
+    def __init__(
+        self, capacity: int, streams: int, stack: int, gamma: float, seed: np.random.SeedSequence
+    ):
         self.rows, self.streams, self.stack = capacity // streams, streams, stack
+        self.gamma = gamma
         self.rng = np.random.default_rng(seed)
         self.codec: FrameCodec | None = None
         self.frames = FrameStore(self.rows * streams)
@@ -184,7 +188,7 @@ class ReplayMemory:
             s_tm1=interleave(images[:-1]),
             a_tm1=self.actions[rows, streams].astype(np.int64),
             r_t=self.rewards[rows, streams],
-            continues=1 - self.terminated[rows, streams].astype(np.float32),
+            discount_t=np.where(self.terminated[rows, streams], 0, self.gamma).astype(np.float32),
             s_t=interleave(images[1:]),
         )
 

@@ -3,11 +3,13 @@
     runs/<experiment>/<agent>/seed-<n>/
         params.yaml         every parameter, resolved
         episodes.csv        a row a training game (training.Episode); the same bytes every time
-        timing.csv          episode, seconds of training so far; not reproducible
+        timing.csv          episode; seconds of training so far, by the clock and of the
+                            processor; not reproducible
         values.csv          a row every 100 games: predicted and realised values
                             (evaluation.ValueCheck)
         evaluations.csv     a row a game of greedy play (evaluation.PlayedGame, and the games
                             of training behind the model)
+        games.jsonl.zst     what every game of these tables can be played again from (`records`)
         model.safetensors   the online network, float16, as of the last checkpoint
         snapshots/          the same after the games that `snapshot_games` names
         status.json         state, episodes_done, episodes
@@ -22,7 +24,7 @@ import json
 import os
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +35,7 @@ from safetensors import SafetensorError
 from torch import nn
 from tqdm import tqdm
 
-from atari_dqn import checkpoints, evaluation, params
+from atari_dqn import checkpoints, evaluation, params, records
 from atari_dqn.agents import AGENTS
 from atari_dqn.evaluation import PlayedGame
 from atari_dqn.params import TRAINING_VERSION, ParameterError, Parameters
@@ -274,23 +276,29 @@ def evaluate(folder: Path, overrides: dict[str, Any], games: int | None = None) 
     network, parameters = stored_agent(folder, overrides)
     games = games or parameters.evaluation_games
     seed, trained = parameters.seeds[0], evaluation.trained_games(folder / "model.safetensors")
-    playing = evaluation.play(network, parameters, games, seed)
+    player = evaluation.player_of(network, parameters)
+    playing = evaluation.play(player, parameters, games, seed)
     played = list(tqdm(playing, total=games, desc="evaluating", unit="game", mininterval=2))
     store_evaluation(folder, played, trained)
-    return pd.DataFrame([asdict(game) for game in played]).sort_values("game", ignore_index=True)
+    table = pd.DataFrame([game.row() for game in played])
+    return table.sort_values("game", ignore_index=True)
 
 
 def store_evaluation(folder: Path, played: list[PlayedGame], trained_games: int) -> None:
-    """Adds games of a model, after so many games of training, to evaluations.csv, in the place of
-    the same games of the same model and settings."""
-    path = folder / "evaluations.csv"
-    table = pd.DataFrame([asdict(game) for game in played])
+    """Adds games of a model, after so many games of training, to evaluations.csv and to the games
+    on record, in the place of the same games of the same model and settings."""
+    path, recorded = folder / "evaluations.csv", folder / records.FILE
+    played = sorted(played, key=lambda game: json.dumps(game.heading(trained_games)))
+    table = pd.DataFrame([game.row() for game in played])
     table["trained_games"] = trained_games
     settings = ["trained_games", "difficulty", "sticky_actions", "epsilon", "seed"]
     with FileLock(folder / ".evaluations.lock"):  # training may end while another evaluates
         if path.exists():
             table = pd.concat([pd.read_csv(path), table])
         table = table.drop_duplicates([*settings, "game"], keep="last")
+        before = recorded.read_bytes() if recorded.exists() else b""
+        games = [(game.heading(trained_games), game.record) for game in played]
+        write_atomically(recorded, records.replaced(before, records.EVALUATION, games))
         write_atomically(path, table.sort_values([*settings, "game"]).to_csv(index=False).encode())
 
 

@@ -14,15 +14,16 @@ import ctypes
 import sys
 from collections import deque
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 import numpy as np
 import torch
 
-from atari_dqn.agents import AGENTS, Learner, learning_rate
-from atari_dqn.envs import FinishedGame, LockstepGames
+from atari_dqn.agents import AGENTS, learning_rate
+from atari_dqn.envs import FinishedGame, GameRecord, LockstepGames
 from atari_dqn.exploration import epsilon, epsilon_greedy
+from atari_dqn.native import new_learner
 from atari_dqn.params import Parameters
 from atari_dqn.replay import ReplayMemory
 
@@ -56,6 +57,11 @@ class Episode:
     epsilon: float  # probability of a random action when the game ended
     loss: float  # mean over the updates since games last finished; nan before the first update
     mean_q: float  # mean Q(s, a) of the same updates' transitions
+    record: GameRecord  # not a column
+
+    @classmethod
+    def columns(cls) -> list[str]:
+        return [field.name for field in fields(cls) if field.name != "record"]
 
 
 class Trainer:
@@ -78,11 +84,15 @@ class Trainer:
         self.params = params
         self.games = LockstepGames(params, seeds[0])
         self.memory = ReplayMemory(
-            params.replay_capacity, params.environments, params.frame_stack, seeds[1]
+            params.replay_capacity,
+            params.environments,
+            params.frame_stack,
+            params.gamma,
+            seeds[1],
         )
         self.rng = np.random.default_rng(seeds[2])  # exploration
         weights_seed = int(seeds[3].generate_state(1)[0])
-        self.learner = Learner(AGENTS[agent], self.games.actions, params, weights_seed, initial)
+        self.learner = new_learner(AGENTS[agent], self.games.actions, params, weights_seed, initial)
         self.agent_steps, self.episodes, self.frames = 0, 0, 0
         self.sums = np.zeros(3)  # loss, Q-value, updates since games last finished
         self.means = (float("nan"), float("nan"))
@@ -116,12 +126,9 @@ class Trainer:
         steps = self.agent_steps - self.params.learning_starts
         due = max(0, steps // self.params.update_period) - self.learner.updates
         self.learner.set_learning_rate(learning_rate(self.params, self.episodes))
-        while due > 0:
-            count = min(due, self.learner.updates_until_target())
-            batch = self.memory.sample(count * self.params.batch_size)
-            loss, q = self.learner.learn(batch, count)
-            self.sums += (loss * count, q * count, count)
-            due -= count
+        for _ in range(due):
+            loss, q = self.learner.learn(self.memory.sample(self.params.batch_size))
+            self.sums += (loss, q, 1)
 
     def _finish(self, games: list[FinishedGame], probability: float) -> None:
         loss, q, updates = self.sums
@@ -140,6 +147,7 @@ class Trainer:
                     game.length,
                     probability,
                     *self.means,
+                    game.record,
                 )
             )
 
@@ -168,4 +176,7 @@ class Trainer:
         self.frames = state["frames"]
         self.sums[:] = state["sums"]
         self.means = tuple(state["means"])
-        self.waiting = deque(Episode(**episode) for episode in state["waiting"])
+        self.waiting = deque(
+            Episode(**{**episode, "record": GameRecord(**episode["record"])})
+            for episode in state["waiting"]
+        )

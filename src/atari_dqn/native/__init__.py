@@ -1,0 +1,347 @@
+"""The learner in C++: the same update as `agents.Learner`, about twice as fast on a CPU.
+
+`learner.cpp`, which says how, is compiled by the system's C++ compiler when it is first needed and
+kept in the user's cache. `python -m atari_dqn.native` does just that, and says how it went.
+"""
+
+import ctypes
+import hashlib
+import os
+import shutil
+import subprocess
+import tempfile
+import warnings
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from atari_dqn.agents import (
+    Agent,
+    Learner,
+    double_q_learning,
+    initial_network,
+    q_learning,
+    torch_device,
+)
+from atari_dqn.networks import FEATURES, DuelingNetwork, NatureNetwork
+from atari_dqn.params import ParameterError, Parameters
+from atari_dqn.replay import Batch
+
+SOURCE = Path(__file__).with_name("learner.cpp")
+COMPILERS = ("c++", "g++", "clang++")
+# -ffp-contract=off: the compiler may not join operations, so that all of them give the same bits
+FLAGS = ("-std=c++20", "-O3", "-mavx2", "-mfma", "-ffp-contract=off", "-shared", "-fPIC")
+
+
+class Unavailable(RuntimeError):
+    """The native learner cannot be had on this machine; the message says why, in a few words."""
+
+
+def cache_folder() -> Path:
+    """Where compiled libraries are kept."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "atari_dqn" / "native"
+
+
+def compiled(flags: tuple[str, ...] = FLAGS, compiler: str | None = None) -> Path:
+    """The library, compiled if this compiler has not yet compiled this source with these flags.
+
+    Processes that come at the same time each compile it; the last one's file stays, and is the
+    same. Raises Unavailable.
+    """
+    names = [compiler] if compiler else [os.environ.get("CXX"), *COMPILERS]
+    found = next((path for name in names if name and (path := shutil.which(name))), None)
+    if found is None:
+        raise Unavailable(f"no C++ compiler was found ({', '.join(filter(None, names))})")
+    try:
+        version = subprocess.run([found, "--version"], capture_output=True, check=True).stdout
+        key = hashlib.sha256(b"\0".join([SOURCE.read_bytes(), version, repr(flags).encode()]))
+        library = cache_folder() / f"learner-{key.hexdigest()[:16]}.so"
+        if not library.exists():
+            library.parent.mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryDirectory(dir=library.parent) as folder:
+                unfinished = Path(folder) / library.name
+                subprocess.run(
+                    [found, *flags, "-o", unfinished, SOURCE],
+                    capture_output=True,
+                    check=True,
+                    text=True,
+                )
+                unfinished.replace(library)
+    except subprocess.CalledProcessError as error:
+        line = next((line for line in str(error.stderr).splitlines() if "error" in line), "")
+        raise Unavailable(f"{found} cannot compile {SOURCE.name}: {line}") from None
+    except OSError as error:
+        raise Unavailable(f"{error.filename}: {error.strerror}") from None
+    return library
+
+
+@cache
+def load(library: Path | None = None) -> ctypes.CDLL:
+    """The library with its functions' types; by default the one that `compiled` gives. Raises
+    Unavailable, also if this processor lacks AVX2."""
+    try:
+        native = ctypes.CDLL(str(library or compiled()))
+    except OSError as error:
+        raise Unavailable(f"the compiled learner cannot be loaded: {error}") from None
+    native.processor_suffices.restype = ctypes.c_bool
+    if not native.processor_suffices():
+        raise Unavailable("this processor lacks AVX2 or FMA")
+    array, number, real = ctypes.c_void_p, ctypes.c_int, ctypes.c_double
+    types: dict[str, tuple[Any, list]] = {
+        "learner_new": (ctypes.c_void_p, [number] * 4),
+        "learner_free": (None, [array]),
+        "learner_layout": (ctypes.POINTER(ctypes.c_long), [array]),
+        "learner_array": (ctypes.POINTER(ctypes.c_float), [array, number]),
+        "learner_transform": (None, [array]),
+        "learner_q_values": (ctypes.c_bool, [array, array, number, array]),
+        "learner_update": (
+            ctypes.c_bool,
+            [array] * 6 + [number, ctypes.c_bool, real, real, ctypes.c_long, array],
+        ),
+        "learner_update_target": (None, [array, ctypes.c_float]),
+    }
+    for name, (result, arguments) in types.items():
+        function = getattr(native, name)
+        function.restype, function.argtypes = result, arguments
+    return native
+
+
+def new_learner(
+    agent: Agent,
+    actions: int,
+    params: Parameters,
+    seed: int,
+    initial: dict[str, Tensor] | None = None,
+) -> "Learner | NativeLearner":
+    """The learner that `params.learner` asks for; "auto" is the native one on a CPU if it can be
+    had. Raises ParameterError if "native" is asked for in vain."""
+    given = (agent, actions, params, seed, initial)
+    if params.learner == "torch" or torch_device(params.device).type != "cpu":
+        if params.learner == "native":
+            raise ParameterError(
+                f"learner: 'native' is not allowed: it needs the CPU; device is {params.device!r}"
+            )
+        return Learner(*given)
+    try:
+        return NativeLearner(*given)
+    except Unavailable as error:
+        if params.learner == "native":
+            raise ParameterError(f"learner: 'native' is not allowed: {error}") from None
+        _say_once(f"PyTorch learns, at about half the native learner's speed: {error}")
+        return Learner(*given)
+
+
+@cache
+def _say_once(line: str) -> None:
+    warnings.warn(line, stacklevel=2)
+
+
+# What learner.cpp can do: the network and the target of each agent that it knows
+KNOWN = {
+    (NatureNetwork, q_learning): {"dueling": False, "double_q": False},
+    (NatureNetwork, double_q_learning): {"dueling": False, "double_q": True},
+    (DuelingNetwork, double_q_learning): {"dueling": True, "double_q": True},
+}
+
+
+class NativeLearner:
+    """A look-alike of `agents.Learner`; their states can be exchanged.
+
+    Raises Unavailable if there is no library to be had, or if it does not know the agent.
+    """
+
+    kind = "native"
+    device = torch.device("cpu")
+
+    def __init__(
+        self,
+        agent: Agent,
+        actions: int,
+        params: Parameters,
+        seed: int,
+        initial: dict[str, Tensor] | None = None,
+        library: Path | None = None,
+    ):
+        if (agent.network, agent.target) not in KNOWN:
+            raise Unavailable(f"it does not know the agent {agent.title}")
+        kind = KNOWN[agent.network, agent.target]
+        self.params, self.actions, self.dueling = params, actions, kind["dueling"]
+        self._native = load(library)
+        self._learner = self._native.learner_new(
+            params.frame_stack, actions, kind["dueling"], kind["double_q"]
+        )
+        if not self._learner:
+            raise MemoryError
+        starts = self._native.learner_layout(self._learner)[: len(PARTS) + 1]
+        size = starts[-1]
+        self._online, self._target, self._first, self._second = (
+            np.ctypeslib.as_array(self._native.learner_array(self._learner, which), (size,))
+            for which in range(4)
+        )
+        self._places = {
+            name: slice(*ends) for name, *ends in zip(PARTS, starts[:-1], starts[1:], strict=True)
+        }
+        weights = initial_network(agent, actions, params, seed, initial).state_dict()
+        self._pack(weights, self._online)
+        self._pack(weights, self._target)
+        self._native.learner_transform(self._learner)
+        self.learning_rate = params.learning_rate
+        self.updates = 0
+
+    def __del__(self) -> None:
+        if getattr(self, "_learner", None):
+            self._native.learner_free(self._learner)
+
+    def q_values(self, observations: np.ndarray) -> np.ndarray:
+        """Bytes [N, 84, 84, S] to Q-values float32 [N, A]."""
+        states = self._bytes(observations, len(observations))
+        q = np.empty((len(states), self.actions), np.float32)
+        if len(states) and not self._native.learner_q_values(
+            self._learner, states.ctypes.data, len(states), q.ctypes.data
+        ):
+            raise MemoryError
+        return q
+
+    def learn(self, batch: Batch) -> tuple[float, float]:
+        """Makes one gradient step and updates the target network if that is due.
+
+        Returns the batch's mean loss and mean Q(s_tm1, a_tm1).
+        """
+        size = len(batch.a_tm1)
+        arrays = (
+            self._bytes(batch.s_tm1, size),
+            np.ascontiguousarray(batch.a_tm1, np.int64),
+            np.ascontiguousarray(batch.r_t, np.float32),
+            np.ascontiguousarray(batch.discount_t, np.float32),
+            self._bytes(batch.s_t, size),
+        )
+        assert all(len(array) == size for array in arrays)
+        assert size > 0
+        assert 0 <= arrays[1].min() <= arrays[1].max() < self.actions
+        self.updates += 1
+        loss_and_q = np.empty(2)
+        if not self._native.learner_update(
+            self._learner,
+            *(array.ctypes.data for array in arrays),
+            size,
+            self.params.freeze_convolutions,
+            self.learning_rate,
+            self.params.adam_epsilon,
+            self.updates,
+            loss_and_q.ctypes.data,
+        ):
+            raise MemoryError
+        if self.updates % self.params.target_update_period == 0:
+            self._native.learner_update_target(self._learner, self.params.tau)
+        return float(loss_and_q[0]), float(loss_and_q[1])
+
+    def set_learning_rate(self, rate: float) -> None:
+        self.learning_rate = rate
+
+    def weights(self) -> dict[str, Tensor]:
+        """The online network's, by the names that the PyTorch network has for them."""
+        return self._unpack(self._online)
+
+    def set_weights(self, weights: dict[str, Tensor]) -> None:
+        """Replaces the online network's."""
+        self._pack(weights, self._online)
+        self._native.learner_transform(self._learner)
+
+    def get_state(self) -> dict[str, Any]:
+        """Weights, Adam's moments and counters, as `agents.Learner.get_state` returns them."""
+        first, second = self._unpack(self._first), self._unpack(self._second)
+        moments: dict[str, Tensor] = {}
+        for name in first if self.updates else ():
+            if not (self.params.freeze_convolutions and name.startswith("convolutions")):
+                moments[f"{name}.step"] = torch.tensor(float(self.updates))
+                moments[f"{name}.exp_avg"] = first[name]
+                moments[f"{name}.exp_avg_sq"] = second[name]
+        return {
+            "online": self.weights(),
+            "target": self._unpack(self._target),
+            "moments": moments,
+            "updates": self.updates,
+        }
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Restores what `get_state`, of either learner, returned."""
+        self._pack(state["online"], self._online)
+        self._pack(state["target"], self._target)
+        self.updates = state["updates"]
+        for moment, flat in (("exp_avg", self._first), ("exp_avg_sq", self._second)):
+            flat[:] = 0
+            suffix = f".{moment}"
+            stored = {
+                name.removesuffix(suffix): value
+                for name, value in state["moments"].items()
+                if name.endswith(suffix)
+            }
+            self._pack(stored, flat)
+        self._native.learner_transform(self._learner)
+
+    def _bytes(self, observations: np.ndarray, count: int) -> np.ndarray:
+        assert observations.shape == (count, 84, 84, self.params.frame_stack)
+        return np.ascontiguousarray(observations, np.uint8)
+
+    def _views(self, flat: np.ndarray) -> dict[str, np.ndarray]:
+        """The parts of a flat array, by the names and in the shapes that PyTorch has for them, as
+        views: writing to one writes to the array."""
+        stack, actions = self.params.frame_stack, self.actions
+        part = {name: flat[place] for name, place in self._places.items()}
+        # [row of blocks, column of blocks][row in the block, column, channel][output channel]
+        first = part["conv1"].reshape(2, 2, 4, 4, stack, 32).transpose(5, 4, 0, 2, 1, 3)
+        second = part["conv2"].reshape(2, 2, 2, 2, 32, 64).transpose(5, 4, 0, 2, 1, 3)
+        third = part["conv3"].reshape(3, 3, 64, 64).transpose(3, 2, 0, 1)
+        hidden = part["hidden"].reshape(-1, FEATURES, 16).transpose(0, 2, 1)  # [units/16, 16, ...]
+        bias = part["hidden_bias"].reshape(-1, 16)
+        views = {
+            "convolutions.0.weight": first,  # [32, S, 2, 4, 2, 4]: 8 is two blocks of 4
+            "convolutions.0.bias": part["bias1"],
+            "convolutions.2.weight": second,
+            "convolutions.2.bias": part["bias2"],
+            "convolutions.4.weight": third,
+            "convolutions.4.bias": part["bias3"],
+        }
+        streams = ("value_", "advantage_") if self.dueling else ("",)
+        for index, stream in enumerate(streams):
+            units = slice(32 * index, 32 * (index + 1))
+            views[f"{stream}hidden.weight"] = hidden[units]
+            views[f"{stream}hidden.bias"] = bias[units]
+        if self.dueling:
+            views["value_output.weight"] = part["value"].reshape(1, 512)
+            views["value_output.bias"] = part["value_bias"][:1]
+        views[f"{streams[-1]}output.weight"] = part["output"].reshape(actions, 512)
+        views[f"{streams[-1]}output.bias"] = part["output_bias"][:actions]
+        return views
+
+    def _shape(self, name: str, view: np.ndarray) -> tuple[int, ...]:
+        """The shape in PyTorch of a view, some of whose axes are split in two there."""
+        if view.ndim == 6:  # convolutions of blocks
+            a, b, c, d, e, f = view.shape
+            return (a, b, c * d, e * f)
+        if "hidden.weight" in name:
+            return (512, FEATURES)
+        return (512,) if "hidden.bias" in name else view.shape
+
+    def _pack(self, weights: dict[str, Any], flat: np.ndarray) -> None:
+        for name, view in self._views(flat).items():
+            if name in weights:
+                value = np.asarray(weights[name], np.float32)
+                assert value.shape == self._shape(name, view), name
+                view[...] = value.reshape(view.shape)
+
+    def _unpack(self, flat: np.ndarray) -> dict[str, Tensor]:
+        return {
+            name: torch.from_numpy(np.array(view, order="C").reshape(self._shape(name, view)))
+            for name, view in self._views(flat).items()
+        }
+
+
+PARTS = (
+    *("conv1", "bias1", "conv2", "bias2", "conv3", "bias3", "hidden", "hidden_bias"),
+    *("output", "output_bias", "value", "value_bias"),
+)
