@@ -10,11 +10,14 @@ from typing import Annotated, Any
 import pandas as pd
 import typer
 from tabulate import tabulate
+from tqdm import tqdm
 
-from atari_dqn import experiments, params, recording, runs
+from atari_dqn import experiments, params, recording, records, runs, verification
 from atari_dqn.checkpoints import CheckpointError
 from atari_dqn.params import ParameterError
+from atari_dqn.records import RecordError
 from atari_dqn.runs import Run, RunError
+from atari_dqn.verification import Difference
 
 app = typer.Typer(
     help="Train, evaluate and report on Deep Q-Networks that play Atari Boxing and Breakout.",
@@ -110,8 +113,7 @@ def evaluate(
         "evaluation_epsilon": epsilon,
     }
     given = {key: value for key, value in chosen.items() if value is not None}
-    if video is not None and (video.suffix != ".mp4" or not video.resolve().parent.is_dir()):
-        raise ParameterError(f"--video {str(video)!r}: expected FILE.mp4 in a folder that exists")
+    _writable(video)
     played = runs.evaluate(run_dir, given, games)
     if video is not None:
         from atari_dqn import clips  # what it draws with takes seconds to import
@@ -121,6 +123,52 @@ def evaluate(
         f"{len(played)} games: mean score {played.score.mean():.1f}, "
         f"{played.won.sum()} won, {(played.knockout == 1).sum()} by knock-out"
     )
+
+
+def _writable(video: Path | None) -> None:
+    if video is not None and (video.suffix != ".mp4" or not video.resolve().parent.is_dir()):
+        raise ParameterError(f"--video {str(video)!r}: expected FILE.mp4 in a folder that exists")
+
+
+RunFolder = Annotated[Path, typer.Argument(help="A stored run's folder, .../seed-N.")]
+
+
+@app.command()
+def replay(
+    run_dir: RunFolder,
+    episode: Annotated[int, typer.Option(min=1, help="The training game.")],
+    video: Annotated[Path | None, typer.Option(help="Film it: what the television shows.")] = None,
+) -> None:
+    """Play a training game again from its record."""
+    _writable(video)
+    parameters = verification.stored_parameters(run_dir)
+    record = verification.find(run_dir, episode)
+    facts = verification.outcome(parameters, record)
+    if video is not None:
+        from atari_dqn import films  # what it draws with takes seconds to import
+
+        film = films.television(records.replay(parameters, record))
+        runs.write_atomically(video, film)
+    print(
+        f"game {episode}: {facts['score']:g} points, {facts['length']:.0f} agent steps, "
+        f"{facts['frames']:.0f} frames"
+    )
+
+
+@app.command()
+def verify(
+    run_dir: RunFolder,
+    episodes: Annotated[
+        int, typer.Option(min=1, help="How many games, evenly spaced over the run.")
+    ] = 20,
+    everything: Annotated[
+        bool, typer.Option("--all", help="All of them, and the greedy games behind values.csv.")
+    ] = False,
+) -> None:
+    """Play games of a run again and compare them with its tables; exit 1 at a difference."""
+    checked = verification.verify(run_dir, None if everything else episodes)
+    count = sum(1 for _ in tqdm(checked, desc="verifying", unit="game", mininterval=2, leave=False))
+    print(f"{count} games played again: all as the tables say")
 
 
 @experiments_app.command()
@@ -190,7 +238,7 @@ def main() -> None:
     except ParameterError as error:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(2)
-    except (RunError, CheckpointError) as error:
+    except (RunError, CheckpointError, RecordError, Difference) as error:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(1)
     except OSError as error:

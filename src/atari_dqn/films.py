@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cache
-from itertools import cycle
+from itertools import chain, cycle
 from pathlib import Path
 
 import av
@@ -28,7 +28,7 @@ from PIL import Image, ImageDraw, ImageFont
 from torch import nn
 
 from atari_dqn import plots
-from atari_dqn.envs import SIZE, game_of, interleave
+from atari_dqn.envs import SIZE, AtariGame, game_of, interleave
 from atari_dqn.evaluation import PlayedGame, Player, Table, player_of, q_of
 from atari_dqn.exploration import epsilon_greedy
 from atari_dqn.networks import DuelingNetwork
@@ -173,32 +173,55 @@ def _film(recordings: dict[str, _Recording], seconds: Seconds) -> Film:
     poster, poster_step = b"", _telling(games, steps)
     moments = np.linspace(steps[0], steps[-1], STRIP).round().astype(int).tolist()
     kept = {}  # the television pictures of the moments
+
+    def drawn() -> Iterator[np.ndarray]:
+        nonlocal poster
+        for step in stage.play(steps):
+            if step == poster_step:
+                smallest = [cv2.IMWRITE_PNG_COMPRESSION, 9]
+                poster = cv2.imencode(".png", stage.canvas[:, :, ::-1], smallest)[1].tobytes()
+            if step in moments:
+                kept[step] = [column.picture for column in stage.columns]
+            for _ in range(1 + round(rate) if step == longest else 1):
+                yield stage.canvas
+
+    video = _encoded(drawn(), rate)
+    strip = _strip(recordings, kept, steps)
+    return Film(video, poster, strip, tuple(game.result for game in games))
+
+
+def television(games: Iterator[AtariGame]) -> bytes:
+    """MP4 of what the television shows of a game that is being played, three times as large."""
+    game = next(games)
+
+    def drawn() -> Iterator[np.ndarray]:
+        for now in chain([game], games):
+            yield now.render().repeat(3, axis=0).repeat(3, axis=1)
+
+    return _encoded(drawn(), Fraction(60, game.frame_skip))
+
+
+def _encoded(pictures: Iterator[np.ndarray], rate: Fraction) -> bytes:
+    """MP4 (H.264) of pictures uint8 [height, width, 3], `rate` a second."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "film.mp4")  # a file, as its index is moved to the front in the end
         with av.open(str(path), "w", format="mp4", options={"movflags": "faststart"}) as container:
             stream = container.add_stream("libx264", rate=rate, options=ENCODER)
-            stream.height, stream.width, _ = stage.canvas.shape
             stream.pix_fmt = "yuv420p"
             stream.codec_context.thread_count = 1  # the same bytes every time
             stream.codec_context.colorspace = Colorspace.ITU709
             stream.codec_context.color_range = ColorRange.MPEG
-            for step in stage.play(steps):
-                if step == poster_step:
-                    smallest = [cv2.IMWRITE_PNG_COMPRESSION, 9]
-                    poster = cv2.imencode(".png", stage.canvas[:, :, ::-1], smallest)[1].tobytes()
-                if step in moments:
-                    kept[step] = [column.picture for column in stage.columns]
-                frame = av.VideoFrame.from_ndarray(stage.canvas, format="rgb24")
+            for number, picture in enumerate(pictures):
+                if number == 0:
+                    stream.height, stream.width, _ = picture.shape
+                frame = av.VideoFrame.from_ndarray(picture, format="rgb24")
                 frame = frame.reformat(
                     format="yuv420p", dst_colorspace=Colorspace.ITU709, threads=1
                 )
-                for _ in range(1 + round(rate) if step == longest else 1):
-                    frame.pts = None  # the next one
-                    container.mux(stream.encode(frame))
+                frame.pts = None  # the next one
+                container.mux(stream.encode(frame))
             container.mux(stream.encode())
-        video = path.read_bytes()
-    strip = _strip(recordings, kept, steps)
-    return Film(video, poster, strip, tuple(game.result for game in games))
+        return path.read_bytes()
 
 
 def _telling(games: list[_Recording], steps: range) -> int:

@@ -110,8 +110,11 @@ def settings(params: Parameters, heading: dict[str, Any]) -> Parameters:
 
 
 def replay(params: Parameters, record: GameRecord) -> Iterator[AtariGame]:
-    """The game before its first action, and after each."""
+    """The game before its first action, and after each. Raises RecordError if the cartridge has
+    no such action."""
     game = game_of(params)
+    if record.actions and max(record.actions) >= len(game.actions):
+        raise RecordError(f"{params.game} has no action {max(record.actions)}")
     game.reset(options={"record": record})
     yield game
     for action in record.actions:
