@@ -4,6 +4,7 @@ import torch
 from torch import nn
 
 from atari_dqn.agents import AGENTS, Learner, double_q_learning, learning_rate, q_learning
+from atari_dqn.native import NativeLearner
 from atari_dqn.networks import FEATURES, DuelingNetwork, NatureNetwork
 from atari_dqn.params import ParameterError
 from atari_dqn.replay import Batch
@@ -13,28 +14,38 @@ TARGET = torch.tensor([[1.0, 5.0, 2.0], [4.0, 0.0, -1.0]])
 ONLINE = torch.tensor([[9.0, 1.0, 0.0], [0.0, 1.0, 7.0]])
 
 
+# The first game goes on with a reward of 0.5, the second one ended with 1.
+LAST = Batch(None, None, torch.tensor([0.5, 1.0]), torch.tensor([0.9, 0.0]), None)
+
+
 def test_dqn_takes_the_target_networks_own_maximum():
-    assert q_learning(TARGET, None, None).tolist() == [5.0, 4.0]
+    target = q_learning(LAST, lambda _: ONLINE, lambda _: TARGET)
+    assert target.tolist() == pytest.approx([0.5 + 0.9 * 5, 1])
 
 
 def test_double_dqn_takes_the_target_value_of_the_online_networks_choice():
-    assert double_q_learning(TARGET, None, lambda _: ONLINE).tolist() == [1.0, -1.0]
+    target = double_q_learning(LAST, lambda _: ONLINE, lambda _: TARGET)
+    assert target.tolist() == pytest.approx([0.5 + 0.9 * 1, 1])
 
 
 def test_the_dueling_agent_is_double_dqn_with_another_network():
     double, dueling = AGENTS["double_dqn"], AGENTS["dueling_double_dqn"]
-    assert double.value is dueling.value
+    assert double.target is dueling.target
     assert (double.network, dueling.network) == (NatureNetwork, DuelingNetwork)
 
 
-def batch_of(count, rng, terminated=()):
-    continues = np.ones(count, np.float32)
-    continues[list(terminated)] = 0
+LEARNERS = {"torch": Learner, "native": NativeLearner}
+both_learners = pytest.mark.parametrize("make", LEARNERS.values(), ids=LEARNERS)
+
+
+def batch_of(count, rng, terminated=(), gamma=0.99):
+    discount_t = np.full(count, gamma, np.float32)
+    discount_t[list(terminated)] = 0
     return Batch(
         s_tm1=rng.integers(256, size=(count, 84, 84, 4), dtype=np.uint8),
         a_tm1=rng.integers(18, size=count),
         r_t=rng.choice([-1.0, 0.0, 1.0], count).astype(np.float32),
-        continues=continues,
+        discount_t=discount_t,
         s_t=rng.integers(256, size=(count, 84, 84, 4), dtype=np.uint8),
     )
 
@@ -68,21 +79,23 @@ class PlainNature(nn.Module):
         return value + (advantage - advantage.mean(1, keepdim=True))
 
 
-def doubled(network):
-    return {name: value.detach().double() for name, value in network.named_parameters()}
+def doubled(weights):
+    return {name: value.detach().double() for name, value in weights.items()}
 
 
+@both_learners
 @pytest.mark.parametrize("agent", AGENTS)
-def test_one_update_equals_an_independent_computation(agent, small):
+def test_one_update_equals_an_independent_computation(agent, make, small):
     """Target, loss, gradient and Adam's step, in 64 bits and without any of our code."""
     parameters = small(gamma=0.9, learning_rate=1e-3)
-    learner = Learner(AGENTS[agent], 18, parameters, seed=0)
-    with torch.no_grad():  # else both networks would agree about the best action
-        for weight in learner.target.parameters():
-            weight.add_(torch.randn(weight.shape, generator=torch.manual_seed(1)) * 0.02)
-    batch = batch_of(6, np.random.default_rng(0), terminated=[2])
-    weights = {name: w.requires_grad_() for name, w in doubled(learner.online).items()}
-    online, target = PlainNature(weights), PlainNature(doubled(learner.target))
+    learner = make(AGENTS[agent], 18, parameters, seed=0)
+    state, generator = learner.get_state(), torch.manual_seed(1)
+    for weight in state["target"].values():  # else both networks agree about the best action
+        weight.add_(torch.randn(weight.shape, generator=generator) * 0.02)
+    learner.set_state(state)
+    batch = batch_of(6, np.random.default_rng(0), terminated=[2], gamma=0.9)
+    weights = {name: w.requires_grad_() for name, w in doubled(state["online"]).items()}
+    online, target = PlainNature(weights), PlainNature(doubled(state["target"]))
     s_tm1, s_t = torch.from_numpy(batch.s_tm1), torch.from_numpy(batch.s_t)
     with torch.no_grad():
         q_target, q_online = target(s_t).numpy(), online(s_t).numpy()
@@ -90,55 +103,42 @@ def test_one_update_equals_an_independent_computation(agent, small):
     if agent != "dqn":
         assert (best != q_target.argmax(1)).any(), "the test would not tell the rules apart"
     value = q_target[np.arange(6), best]
-    expected = batch.r_t + 0.9 * np.where(batch.continues > 0, value, 0.0)
+    expected = batch.r_t + 0.9 * np.where(np.arange(6) == 2, 0.0, value)
     taken = online(s_tm1)[torch.arange(6), torch.from_numpy(batch.a_tm1)]
     loss = ((taken - torch.from_numpy(expected)) ** 2).mean()
     loss.backward()
-    mean_loss, mean_q = learner.learn(batch, 1)
+    mean_loss, mean_q = learner.learn(batch)
     assert mean_loss == pytest.approx(loss.item(), rel=1e-4)
     assert mean_q == pytest.approx(taken.mean().item(), rel=1e-4)
-    for name, after in learner.online.named_parameters():
+    moments = learner.get_state()["moments"]
+    for name, after in learner.weights().items():
         gradient = weights[name].grad.numpy()
-        moment = learner.optimiser.state[after]["exp_avg"].numpy()  # a tenth of the first gradient
+        moment = moments[f"{name}.exp_avg"].numpy()  # a tenth of the first gradient
         np.testing.assert_allclose(moment, 0.1 * gradient, rtol=1e-3, atol=1e-6)
         # Adam's first step: the bias-corrected moments are the gradient and its square.
         step = 1e-3 * gradient / (np.abs(gradient) + 1e-8)
         sure = np.abs(gradient) > 1e-5  # elsewhere rounding decides the sign of the step
         wanted = weights[name].detach().numpy() - step
-        np.testing.assert_allclose(after.detach().numpy()[sure], wanted[sure], atol=2e-5)
+        np.testing.assert_allclose(after.numpy()[sure], wanted[sure], atol=2e-5)
         assert sure.any()
 
 
-def test_a_shared_batch_of_updates_equals_one_update_after_another(small):
-    rng = np.random.default_rng(1)
-    both = batch_of(8, rng)
-    halves = [
-        Batch(**{name: value[part] for name, value in vars(both).items()})
-        for part in (slice(0, 4), slice(4, 8))
-    ]
-    together, apart = (Learner(AGENTS["double_dqn"], 18, small(), seed=3) for _ in range(2))
-    together.learn(both, 2)
-    for half in halves:
-        apart.learn(half, 1)
-    assert together.updates == apart.updates == 2
-    for one, other in zip(together.online.parameters(), apart.online.parameters(), strict=True):
-        torch.testing.assert_close(one, other, rtol=1e-4, atol=1e-6)
-
-
+@both_learners
 @pytest.mark.parametrize("tau", [1.0, 0.25])
-def test_the_target_network_moves_by_tau_every_period_and_not_before(small, tau):
-    learner = Learner(AGENTS["dqn"], 18, small(target_update_period=3, tau=tau), seed=0)
-    start = [weight.clone() for weight in learner.target.parameters()]
+def test_the_target_network_moves_by_tau_every_period_and_not_before(small, tau, make):
+    learner = make(AGENTS["dqn"], 18, small(target_update_period=3, tau=tau), seed=0)
+    start = {name: weight.clone() for name, weight in learner.get_state()["target"].items()}
     rng = np.random.default_rng(0)
-    assert learner.updates_until_target() == 3
-    learner.learn(batch_of(8, rng), 2)
-    assert all(torch.equal(a, b) for a, b in zip(start, learner.target.parameters(), strict=True))
-    assert learner.updates_until_target() == 1
-    learner.learn(batch_of(4, rng), 1)
-    for was, now, online in zip(
-        start, learner.target.parameters(), learner.online.parameters(), strict=True
-    ):
-        torch.testing.assert_close(now, (1 - tau) * was + tau * online)
+    for _ in range(2):
+        learner.learn(batch_of(4, rng))
+    state = learner.get_state()
+    assert all(torch.equal(start[name], now) for name, now in state["target"].items())
+    learner.learn(batch_of(4, rng))
+    state = learner.get_state()
+    for name, now in state["target"].items():
+        wanted = (1 - tau) * start[name] + tau * state["online"][name]
+        torch.testing.assert_close(now, wanted)
+        assert not torch.equal(now, start[name])
 
 
 @pytest.mark.parametrize(
@@ -189,7 +189,7 @@ def corridor():
         s_tm1=pictures[places],
         a_tm1=actions,
         r_t=rewards.astype(np.float32),
-        continues=1 - ended.astype(np.float32),
+        discount_t=np.where(ended, 0, 0.8).astype(np.float32),
         s_t=pictures[following],
     )
     optimum = np.zeros((4, 2))
@@ -199,29 +199,31 @@ def corridor():
     return batch, pictures, optimum
 
 
+@both_learners
 @pytest.mark.parametrize("agent", AGENTS)
-def test_each_agent_finds_the_known_optimum_of_a_small_problem(agent, small):
+def test_each_agent_finds_the_known_optimum_of_a_small_problem(agent, make, small):
     batch, pictures, optimum = corridor()
     parameters = small(gamma=0.8, learning_rate=3e-4, target_update_period=20)
-    learner = Learner(AGENTS[agent], 2, parameters, seed=1)
+    learner = make(AGENTS[agent], 2, parameters, seed=1)
     for _ in range(240):
-        learner.learn(batch, 1)
+        learner.learn(batch)
     found = learner.q_values(pictures)
     np.testing.assert_allclose(found, optimum, atol=0.04)
     assert (found.argmax(1) == optimum.argmax(1)).all()
 
 
+@both_learners
 @pytest.mark.parametrize("agent", AGENTS)
 @pytest.mark.parametrize("layers", ["all", "convolutions"])
-def test_transfer_takes_over_the_named_layers_and_leaves_the_rest_fresh(agent, layers, small):
-    source = Learner(AGENTS[agent], 4, small(), seed=1).online.state_dict()
+def test_transfer_takes_over_the_named_layers_and_leaves_the_rest_fresh(agent, layers, make, small):
+    source = make(AGENTS[agent], 4, small(), seed=1).weights()
     parameters = small(transferred_layers=layers)
-    fresh = Learner(AGENTS[agent], 18, parameters, seed=2).online.state_dict()
-    learner = Learner(AGENTS[agent], 18, parameters, 2, initial=source)
-    for name, weight in learner.online.state_dict().items():
+    fresh = make(AGENTS[agent], 18, parameters, seed=2).weights()
+    state = make(AGENTS[agent], 18, parameters, 2, initial=source).get_state()
+    for name, weight in state["online"].items():
         taken = name.startswith("convolutions") or (layers == "all" and "hidden" in name)
         assert torch.equal(weight, source[name] if taken else fresh[name]), name
-        assert torch.equal(weight, learner.target.state_dict()[name]), name
+        assert torch.equal(weight, state["target"][name]), name
 
 
 def test_weights_of_another_network_are_refused(small):
@@ -230,16 +232,18 @@ def test_weights_of_another_network_are_refused(small):
         Learner(AGENTS["dueling_double_dqn"], 18, small(), 1, initial=source)
 
 
-def test_frozen_convolutions_never_change_and_everything_else_does(small):
-    learner = Learner(AGENTS["double_dqn"], 18, small(freeze_convolutions=True), seed=0)
-    before = {name: weight.clone() for name, weight in learner.online.state_dict().items()}
-    learner.learn(batch_of(8, np.random.default_rng(0)), 2)
-    for name, weight in learner.online.state_dict().items():
+@both_learners
+def test_frozen_convolutions_never_change_and_everything_else_does(small, make):
+    learner = make(AGENTS["double_dqn"], 18, small(freeze_convolutions=True), seed=0)
+    before = {name: weight.clone() for name, weight in learner.weights().items()}
+    for _ in range(2):
+        learner.learn(batch_of(4, np.random.default_rng(0)))
+    for name, weight in learner.weights().items():
         assert torch.equal(weight, before[name]) == name.startswith("convolutions"), name
-    restored = Learner(AGENTS["double_dqn"], 18, small(freeze_convolutions=True), seed=5)
+    restored = make(AGENTS["double_dqn"], 18, small(freeze_convolutions=True), seed=5)
     restored.set_state(learner.get_state())
     one, other = batch_of(4, np.random.default_rng(1)), batch_of(4, np.random.default_rng(1))
-    assert learner.learn(one, 1) == restored.learn(other, 1)
+    assert learner.learn(one) == restored.learn(other)
 
 
 def test_the_learning_rate_warms_up_over_finished_games(small):

@@ -1,6 +1,7 @@
 from pathlib import Path
 
 import pytest
+from ruamel.yaml import YAML
 
 from atari_dqn import experiments, params
 from atari_dqn.params import ParameterError, Parameters
@@ -8,7 +9,7 @@ from atari_dqn.params import ParameterError, Parameters
 ROOT = Path(__file__).parents[1]
 # What only some experiments need to name.
 RARE = {
-    *("device", "warmup_games", "warmup_learning_rate", "variations"),
+    *("device", "learner", "warmup_games", "warmup_learning_rate", "variations"),
     *("evaluation_difficulties", "evaluation_stickiness"),
     *("initial_weights", "transferred_layers", "freeze_convolutions"),
 }
@@ -50,7 +51,8 @@ def test_small_versions_say_only_how_they_are_smaller():
         for path in experiments.files(profile):
             full = params.load(ROOT / "params" / path.name)
             small = params.load(path)
-            assert set(params.read_values(path)) <= size, path
+            own = YAML(typ="safe", pure=True).load(path.read_text())
+            assert set(own) <= size | {"base"}, path
             assert small.model_dump(exclude=size) == full.model_dump(exclude=size), path
             assert set(small.agents) <= set(full.agents), path
             assert small.variations.items() <= full.variations.items(), path
@@ -157,27 +159,49 @@ def test_values_injected_into_a_notebook_are_overrides_of_the_file_they_name(tmp
         params.resolve({"experiment": "boxing_finl", "game": "boxing"}, tmp_path)
 
 
-def test_a_small_file_differs_from_the_full_one_wherever_it_is_named_from(tmp_path, monkeypatch):
+def test_a_file_differs_from_its_bases_of_which_the_last_one_counts(tmp_path, monkeypatch):
     (tmp_path / "quick").mkdir()
-    write(tmp_path, "gamma: 0.9\nreplay_capacity: 80000\nepisodes: 100")
-    small = "profile: quick\nreplay_capacity: 800\nepisodes: 5"
-    expected = params.load(write(tmp_path / "quick", small))
-    assert (expected.gamma, expected.replay_capacity) == (0.9, 800)
-    monkeypatch.chdir(tmp_path / "quick")
-    assert params.load("mine.yaml") == expected
+    write(tmp_path, "gamma: 0.5\nepisodes: 7\nbatch_size: 8", "common.yaml")
+    write(tmp_path, "base: common.yaml\ngamma: 0.9\nreplay_capacity: 80000")
+    write(tmp_path, "profile: quick\nreplay_capacity: 800", "small.yaml")
+    path = write(tmp_path / "quick", "base: [../mine.yaml, ../small.yaml]\nepisodes: 5")
+    loaded = params.load(path)
+    assert (loaded.gamma, loaded.batch_size) == (0.9, 8)
+    assert (loaded.replay_capacity, loaded.episodes, loaded.profile) == (800, 5, "quick")
+    monkeypatch.chdir(tmp_path / "quick")  # bases are found from the file, not from here
+    assert params.load("mine.yaml") == loaded
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("base: nowhere.yaml", "base: 'nowhere.yaml' is not allowed: there is no"),
+        ("base: mine.yaml", "base: 'mine.yaml' is not allowed: it is based on this file"),
+        ("base: other.yaml", "base: 'mine.yaml' is not allowed: it is based on this file"),
+        ("base: 3", "base: 3 is not allowed: must be a file, or a list"),
+        ("base: [3]", "base: [3] is not allowed: must be a file, or a list"),
+        ("base: bad.yaml", "bad.yaml: line 1"),
+    ],
+)
+def test_a_bad_base_is_one_clear_line(tmp_path, text, said):
+    write(tmp_path, "base: mine.yaml", "other.yaml")
+    write(tmp_path, "gamma: [", "bad.yaml")
+    with pytest.raises(ParameterError) as caught:
+        params.load(write(tmp_path, text))
+    assert said in str(caught.value)
 
 
 def test_a_full_file_does_not_become_small_by_its_profiles_name(tmp_path):
-    (tmp_path / "quick").mkdir()
     path = write(tmp_path, "gamma: 0.9\nreplay_capacity: 80000\nepisodes: 100")
-    write(tmp_path / "quick", "profile: quick\nreplay_capacity: 800\nepisodes: 5")
     with pytest.raises(ParameterError, match=r"profile: 'quick' is not allowed: .*has 'full'"):
         params.load(path, {"profile": "quick"})
-    values = {"experiment": "mine", "profile": "quick"}
-    more = {"episodes": 7, "evaluation_games": 3}
-    with pytest.raises(ParameterError, match=r"give params/quick/mine\.yaml instead"):
-        params.resolve({**params.read_values(path), **values, **more}, tmp_path)
-    assert params.resolve({**values, "episodes": 7}, tmp_path).replay_capacity == 800
+
+
+def test_papermill_may_be_given_a_file_with_bases(tmp_path):
+    write(tmp_path, "gamma: 0.5", "common.yaml")
+    path = write(tmp_path, "experiment: mine\nbase: common.yaml\nbatch_size: 8")
+    as_injected = YAML(typ="safe", pure=True).load(path.read_text())
+    assert params.resolve(as_injected, tmp_path) == params.load(path)
 
 
 def test_what_is_evaluated_besides_gives_an_experiment_no_other_name(tmp_path):

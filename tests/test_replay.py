@@ -93,7 +93,7 @@ def fill(memory, naive, lengths, steps, rng):
 def test_samples_equal_a_naive_memorys_wrap_around_included(
     rows, streams, stack, lengths, steps, seed
 ):
-    memory = ReplayMemory(rows * streams, streams, stack, np.random.SeedSequence(seed))
+    memory = ReplayMemory(rows * streams, streams, stack, 0.9, np.random.SeedSequence(seed))
     naive = NaiveMemory(rows, stack)
     fill(memory, naive, lengths, steps, np.random.default_rng(seed))
     expected = naive.transitions()
@@ -112,12 +112,12 @@ def test_samples_equal_a_naive_memorys_wrap_around_included(
         np.testing.assert_array_equal(batch.s_t[index], stacked)
         assert batch.a_tm1[index] == action
         assert batch.r_t[index] == reward
-        assert batch.continues[index] == (not terminated)
+        assert batch.discount_t[index] == (0 if terminated else np.float32(0.9))
 
 
 def test_sampling_is_uniform_over_all_transitions_but_those_of_a_full_rings_oldest_rows():
     rows, streams, stack = 20, 2, 4
-    memory = ReplayMemory(rows * streams, streams, stack, np.random.SeedSequence(0))
+    memory = ReplayMemory(rows * streams, streams, stack, 0.9, np.random.SeedSequence(0))
     naive = NaiveMemory(rows, stack)
     fill(memory, naive, [3, 7], 47, np.random.default_rng(1))
     expected = naive.transitions()
@@ -131,18 +131,18 @@ def test_sampling_is_uniform_over_all_transitions_but_those_of_a_full_rings_olde
 
 
 def test_an_empty_memory_cannot_be_sampled():
-    memory = ReplayMemory(80, 2, 4, np.random.SeedSequence(0))
+    memory = ReplayMemory(80, 2, 4, 0.9, np.random.SeedSequence(0))
     with pytest.raises(ValueError, match="no transition yet"):
         memory.sample(1)
 
 
 def test_a_restored_memory_draws_the_same_transitions():
     def filled():
-        memory = ReplayMemory(60, 2, 4, np.random.SeedSequence(5))
+        memory = ReplayMemory(60, 2, 4, 0.9, np.random.SeedSequence(5))
         fill(memory, NaiveMemory(30, 4), [5], 50, np.random.default_rng(2))
         return memory
 
-    memory, restored = filled(), ReplayMemory(60, 2, 4, np.random.SeedSequence(6))
+    memory, restored = filled(), ReplayMemory(60, 2, 4, 0.9, np.random.SeedSequence(6))
     memory.sample(10)
     assert 0 not in memory.frames.segments, "the first segments are freed by now"
     assert len(memory.frames.segments) > 3
@@ -150,7 +150,7 @@ def test_a_restored_memory_draws_the_same_transitions():
     for one in (memory, restored):
         fill(one, NaiveMemory(30, 4), [5], 7, np.random.default_rng(3))
     first, second = memory.sample(64), restored.sample(64)
-    for name in ("s_tm1", "a_tm1", "r_t", "continues", "s_t"):
+    for name in ("s_tm1", "a_tm1", "r_t", "discount_t", "s_t"):
         np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
 
 
@@ -164,7 +164,7 @@ def test_compression_loses_nothing_even_of_noise(seed):
 
 
 def test_segments_are_dropped_when_their_images_are_overwritten():
-    memory = ReplayMemory(80, 2, 4, np.random.SeedSequence(0))
+    memory = ReplayMemory(80, 2, 4, 0.9, np.random.SeedSequence(0))
     for number in range(20):
         fill(memory, NaiveMemory(40, 4), [5], 40, np.random.default_rng(number))
         held = sum(len(segment) for segment in memory.frames.segments.values())

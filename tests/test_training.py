@@ -70,7 +70,8 @@ def uninterrupted(agent):
 def right_after_a_target_update(trainer):
     learner = trainer.learner
     renewed = learner.updates > 0 and learner.updates % learner.params.target_update_period == 0
-    pairs = zip(learner.online.parameters(), learner.target.parameters(), strict=True)
+    state = learner.get_state()
+    pairs = zip(state["online"].values(), state["target"].values(), strict=True)
     assert not renewed or all(torch.equal(online, target) for online, target in pairs)
     return renewed
 
@@ -144,7 +145,7 @@ def test_a_resume_with_one_piece_of_an_older_state_plays_or_learns_differently(s
         (
             trainer.learner.q_values(trainer.games.observations()).tolist(),  # what it goes on by
             episodes_after(trainer, 40),
-            flat(trainer.learner.online.state_dict()),
+            flat(trainer.learner.weights()),
         )
         for trainer in (whole, resumed)
     ]
@@ -168,10 +169,9 @@ def test_exploration_and_learning_rate_follow_the_games_finished_before(small, m
         chances.setdefault(trainer.episodes, set()).add(probability)
         return epsilon_greedy(q_values, probability, rng)
 
-    def update(batch, count):
-        rate = trainer.learner.optimiser.param_groups[0]["lr"]
-        rates.setdefault(trainer.episodes, set()).add(rate)
-        return learn(batch, count)
+    def update(batch):
+        rates.setdefault(trainer.episodes, set()).add(trainer.learner.learning_rate)
+        return learn(batch)
 
     monkeypatch.setattr(training, "epsilon_greedy", choose)
     monkeypatch.setattr(trainer.learner, "learn", update)
@@ -187,9 +187,9 @@ def test_nothing_depends_on_how_many_games_are_planned(small):
     assert episodes_after(few, 90) == episodes_after(many, 90)
 
 
-def transition(s_tm1, a_tm1, r_t, continues, s_t):
+def transition(s_tm1, a_tm1, r_t, discount_t, s_t):
     """One to compare with others; observations as the hashes of their bytes."""
-    return hash(s_tm1.tobytes()), int(a_tm1), float(r_t), float(continues), hash(s_t.tobytes())
+    return hash(s_tm1.tobytes()), int(a_tm1), float(r_t), float(discount_t), hash(s_t.tobytes())
 
 
 def recorded(games, monkeypatch):
@@ -199,7 +199,7 @@ def recorded(games, monkeypatch):
 
         def emulate(action, index=index, step=game.step):
             result = step(action)
-            emulated[index] = (action, result[1], not result[2])
+            emulated[index] = (action, result[1], np.float32(0 if result[2] else 0.99))
             return result
 
         monkeypatch.setattr(game, "step", emulate)
@@ -231,12 +231,12 @@ def test_the_memory_holds_each_step_as_it_was_played_and_none_that_restarts_a_ga
     assert trainer.agent_steps == len(played)
     assert {action for _, action, *_ in played} == {0, 1, 2, 3}
     assert {reward for _, _, reward, *_ in played} >= {0, 1}
-    over = sum(not continues for *_, continues, _ in played)
+    over = sum(discount == 0 for *_, discount, _ in played)
     assert 0 < over < trainer.episodes, "one game ended, another was cut"
     sampled = set()
     for _ in range(12):
         batch = trainer.memory.sample(len(played))
-        columns = (batch.s_tm1, batch.a_tm1, batch.r_t, batch.continues, batch.s_t)
+        columns = (batch.s_tm1, batch.a_tm1, batch.r_t, batch.discount_t, batch.s_t)
         sampled |= {transition(*row) for row in zip(*columns, strict=True)}
     assert sampled == set(played)
 
