@@ -56,18 +56,23 @@ class PlainNature(nn.Module):
     def __init__(self, weights):
         super().__init__()
         self.weights = weights
+        self.nearest = float("inf")  # to zero that the input of a ReLU has come
+
+    def relu(self, x):
+        self.nearest = min(self.nearest, x.detach().abs().min().item())
+        return torch.relu(x)
 
     def features(self, observations):
         w = self.weights
         x = observations.permute(0, 3, 1, 2).double() / 255
         for layer, stride in ((0, 4), (2, 2), (4, 1)):
             kernel = w[f"convolutions.{layer}.weight"], w[f"convolutions.{layer}.bias"]
-            x = torch.relu(nn.functional.conv2d(x, *kernel, stride=stride))
+            x = self.relu(nn.functional.conv2d(x, *kernel, stride=stride))
         return x.permute(0, 2, 3, 1).flatten(1)
 
     def stream(self, x, hidden, output):
         w = self.weights
-        x = torch.relu(x @ w[f"{hidden}.weight"].T + w[f"{hidden}.bias"])
+        x = self.relu(x @ w[f"{hidden}.weight"].T + w[f"{hidden}.bias"])
         return x @ w[f"{output}.weight"].T + w[f"{output}.bias"]
 
     def forward(self, observations):

@@ -1,0 +1,280 @@
+"""The learner in C++ is held to 64-bit arithmetic and to itself; test_agents.py has more."""
+
+import hashlib
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import assume, example, given, settings
+from hypothesis import strategies as st
+from test_agents import PlainNature, doubled
+
+from atari_dqn import native
+from atari_dqn.agents import AGENTS, Learner
+from atari_dqn.native import NativeLearner, Unavailable, new_learner
+from atari_dqn.params import ParameterError, Parameters
+from atari_dqn.replay import Batch
+
+
+def screens(rng, count, stack):
+    """Observations like a game's: a still background, on which two boxes move."""
+    states = np.zeros((count, 84, 84, stack), np.uint8)
+    states[:] = np.kron(rng.integers(0, 2, (7, 7)), np.ones((12, 12)))[None, :, :, None] * 90
+    for state in states:
+        for channel in range(stack):
+            for shade in (40, 200):
+                y, x = rng.integers(0, 70, 2)
+                state[y : y + 14, x : x + 9, channel] = shade
+    return states
+
+
+def batch_of(rng, count, stack, actions, gamma=0.99):
+    return Batch(
+        s_tm1=screens(rng, count, stack),
+        a_tm1=rng.integers(actions, size=count),
+        r_t=rng.choice([-1.0, 0.0, 1.0], count).astype(np.float32),
+        discount_t=np.where(rng.random(count) < 0.2, 0, gamma).astype(np.float32),
+        s_t=screens(rng, count, stack),
+    )
+
+
+def with_another_target(learner, scale=0.01):
+    """The learner, its target network moved away from the online one; and its state."""
+    state, generator = learner.get_state(), torch.manual_seed(1)
+    for weight in state["target"].values():
+        weight.add_(torch.randn(weight.shape, generator=generator) * scale)
+    learner.set_state(state)
+    return state
+
+
+def exact_gradients(agent, state, batch):
+    """Loss, gradients in 64 bits, by the direct convolutions of PyTorch, and how near to zero the
+    input of a ReLU came, where rounding decides whether there is a gradient."""
+    weights = {name: w.requires_grad_() for name, w in doubled(state["online"]).items()}
+    online, target = PlainNature(weights), PlainNature(doubled(state["target"]))
+    tensors = Batch(**{name: torch.from_numpy(array) for name, array in vars(batch).items()})
+    with torch.no_grad():
+        wanted = AGENTS[agent].target(tensors, online, target)
+    taken = online(tensors.s_tm1).gather(1, tensors.a_tm1[:, None]).squeeze(1)
+    loss = ((taken - wanted) ** 2).mean()
+    loss.backward()
+    return loss.item(), {name: weight.grad for name, weight in weights.items()}, online.nearest
+
+
+@pytest.mark.parametrize("agent", AGENTS)
+@given(
+    count=st.integers(1, 40),
+    stack=st.integers(1, 8),
+    actions=st.integers(1, 18),
+    seed=st.integers(0, 1000),
+)
+@example(count=32, stack=4, actions=18, seed=0)
+@example(count=1, stack=1, actions=1, seed=2)
+@settings(max_examples=8, deadline=None, derandomize=True, database=None)
+def test_gradients_and_moments_are_those_of_64_bit_arithmetic(agent, count, stack, actions, seed):
+    parameters = Parameters(experiment="any", frame_stack=stack)
+    learner = NativeLearner(AGENTS[agent], actions, parameters, seed)
+    batch = batch_of(np.random.default_rng(seed), count, stack, actions)
+    loss, gradients, nearest = exact_gradients(agent, with_another_target(learner), batch)
+    assume(nearest > 3e-7)
+    assert learner.learn(batch)[0] == pytest.approx(loss, rel=1e-5)
+    moments = learner.get_state()["moments"]
+    for name, gradient in gradients.items():
+        first, second = (moments[f"{name}.{key}"] for key in ("exp_avg", "exp_avg_sq"))
+        size = gradient.norm()
+        assert (first - 0.1 * gradient).norm() <= 1e-5 * 0.1 * size, name
+        squares = gradient**2
+        assert (second - 0.001 * squares).norm() <= 1e-4 * 0.001 * squares.norm(), name
+
+
+@pytest.mark.parametrize("agent", AGENTS)
+def test_it_stays_beside_the_pytorch_learner_for_some_updates(agent):
+    parameters = Parameters(experiment="any", target_update_period=4)
+    ours, reference = (make(AGENTS[agent], 6, parameters, 3) for make in (NativeLearner, Learner))
+    rng = np.random.default_rng(0)
+    for rate in (1e-5, 2e-5, 1e-4, 1e-4, 5e-5):
+        batch = batch_of(rng, 8, 4, 6)
+        for learner in (ours, reference):
+            learner.set_learning_rate(rate)
+        np.testing.assert_allclose(ours.learn(batch), reference.learn(batch), rtol=1e-3)
+    one, other = ours.get_state(), reference.get_state()
+    assert one["moments"].keys() == other["moments"].keys()
+    for part in ("online", "target", "moments"):
+        for name, value in one[part].items():
+            wanted = other[part][name]
+            assert value.shape == wanted.shape, name
+            assert (value - wanted).norm() <= 2e-3 * wanted.norm() + 1e-7, name
+
+
+def test_a_gradient_that_is_exactly_zero_is_exactly_zero():
+    """Weights that meet only black pixels, or only units that are silent or get no gradient."""
+    parameters = Parameters(experiment="any")
+    learner = NativeLearner(AGENTS["dueling_double_dqn"], 6, parameters, 0)
+    state = with_another_target(learner)
+    rng = np.random.default_rng(0)
+    for layer in (0, 2, 4):
+        bias = state["online"][f"convolutions.{layer}.bias"]
+        bias[torch.from_numpy(rng.random(len(bias)) < 0.6)] = -50.0
+    learner.set_state(state)
+    batch = batch_of(rng, 4, 4, 6)
+    batch.s_tm1[:, ::2], batch.s_tm1[:, :, 1::4], batch.s_tm1[..., 2] = 0, 0, 0
+    _, gradients, _ = exact_gradients("dueling_double_dqn", state, batch)
+    learner.learn(batch)
+    moments = learner.get_state()["moments"]
+    for name, gradient in gradients.items():
+        zero = gradient == 0
+        assert (moments[f"{name}.exp_avg"][zero] == 0).all(), name
+        assert (moments[f"{name}.exp_avg_sq"][zero] == 0).all(), name
+        if name.startswith("convolutions") and name.endswith("weight"):
+            assert 0.1 < zero.double().mean() < 1, f"{name}: the test would show nothing"
+
+
+def some_updates(learner, updates=range(6)):
+    """A digest of the state after updates, and of Q-values."""
+    digest = hashlib.sha256()
+    for number in updates:
+        batch = batch_of(np.random.default_rng(number), 7, learner.params.frame_stack, 6)
+        digest.update(np.array(learner.learn(batch)).tobytes())
+        digest.update(learner.q_values(batch.s_t).tobytes())
+    state = learner.get_state()
+    for part in ("online", "target", "moments"):
+        for name, value in state[part].items():
+            digest.update(name.encode() + value.numpy().tobytes())
+    return digest.hexdigest()
+
+
+BUILDS = {
+    "g++ -O1": ("g++", ("-O1",)),
+    "g++ -O3 for this processor": ("g++", ("-O3", "-march=native")),
+    "clang++ -O3 for this processor": ("clang++", ("-O3", "-march=native")),
+}
+PARAMETERS = Parameters(experiment="any", frame_stack=3, target_update_period=4, tau=0.3)
+
+
+@pytest.mark.parametrize("build", BUILDS)
+def test_every_compiler_gives_the_same_bits(build, tmp_path, monkeypatch):
+    compiler, optimisation = BUILDS[build]
+    if shutil.which(compiler) is None:
+        pytest.skip(f"{compiler} is not installed")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    flags = (*(flag for flag in native.FLAGS if flag != "-O3"), *optimisation)
+    library = native.compiled(flags, compiler)
+    for agent in ("dqn", "dueling_double_dqn"):
+        here = NativeLearner(AGENTS[agent], 6, PARAMETERS, 1, library=library)
+        assert some_updates(here) == some_updates(NativeLearner(AGENTS[agent], 6, PARAMETERS, 1))
+
+
+def test_the_bits_are_those_that_stored_runs_were_trained_with():
+    """If this fails, raise TRAINING_VERSION: the arithmetic is another one. The initial weights
+    are PyTorch's, which this digest cannot tell from ours."""
+    learner = NativeLearner(AGENTS["dueling_double_dqn"], 6, PARAMETERS, 1)
+    state, rng = learner.get_state(), np.random.default_rng(0)
+    for part in ("online", "target"):
+        for weight in state[part].values():
+            weight.copy_(torch.from_numpy(rng.integers(-512, 512, weight.shape) / 8192))
+    learner.set_state(state)
+    assert some_updates(learner)[:16] == "f7a0f5d530efea76"
+
+
+@pytest.mark.parametrize("agent", AGENTS)
+def test_a_state_restored_half_way_gives_the_same_bits(agent):
+    whole, first, second = (NativeLearner(AGENTS[agent], 6, PARAMETERS, seed) for seed in (1, 1, 9))
+    expected = some_updates(whole)
+    some_updates(first, range(3))
+    second.set_state(first.get_state())
+    whole, first = (NativeLearner(AGENTS[agent], 6, PARAMETERS, 1) for _ in range(2))
+    some_updates(whole)
+    some_updates(second, range(3, 6))
+    for part in ("online", "target", "moments"):
+        for name, value in whole.get_state()[part].items():
+            assert torch.equal(value, second.get_state()[part][name]), name
+    assert expected != some_updates(first, range(3))
+
+
+def test_a_state_can_go_to_the_pytorch_learner_and_back():
+    ours = NativeLearner(AGENTS["dueling_double_dqn"], 6, PARAMETERS, 1)
+    some_updates(ours, range(3))
+    between = Learner(AGENTS["dueling_double_dqn"], 6, PARAMETERS, 2)
+    between.set_state(ours.get_state())
+    back = NativeLearner(AGENTS["dueling_double_dqn"], 6, PARAMETERS, 3)
+    back.set_state(between.get_state())
+    assert some_updates(back, range(3, 6)) == some_updates(ours, range(3, 6))
+
+
+def test_an_observation_has_the_same_values_alone_and_among_others():
+    learner = NativeLearner(AGENTS["dueling_double_dqn"], 6, Parameters(experiment="any"), 1)
+    states = screens(np.random.default_rng(0), 21, 4)
+    together = learner.q_values(states)
+    for index in (0, 7, 20):
+        assert (learner.q_values(states[index : index + 1])[0] == together[index]).all()
+    assert learner.q_values(states[:0]).shape == (0, 6)
+
+
+def test_nan_does_not_pass_unseen():
+    learner = NativeLearner(AGENTS["dqn"], 6, Parameters(experiment="any"), 1)
+    state = learner.get_state()
+    state["online"]["convolutions.0.bias"][3] = float("nan")
+    learner.set_state(state)
+    assert np.isnan(learner.q_values(screens(np.random.default_rng(0), 2, 4))).all()
+
+
+# ---- Building it ---------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def no_compiler(tmp_path, monkeypatch):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.delenv("CXX", raising=False)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    native.load.cache_clear()
+    native._say_once.cache_clear()
+    yield
+    native.load.cache_clear()
+    native._say_once.cache_clear()
+
+
+def test_without_a_compiler_pytorch_learns_and_one_line_says_so(no_compiler, small):
+    with pytest.warns(UserWarning, match=r"PyTorch learns.*no C\+\+ compiler was found") as said:
+        learners = [new_learner(AGENTS["dqn"], 6, small(), 1) for _ in range(2)]
+    assert len(said) == 1
+    assert [learner.kind for learner in learners] == ["torch", "torch"]
+    with pytest.raises(ParameterError, match=r"learner: 'native' is not allowed: no C\+\+"):
+        new_learner(AGENTS["dqn"], 6, small(learner="native"), 1)
+
+
+def test_the_parameter_chooses_the_learner(small):
+    kinds = {
+        learner: new_learner(AGENTS["dqn"], 6, small(learner=learner, device="cpu"), 1).kind
+        for learner in ("auto", "native", "torch")
+    }
+    assert kinds == {"auto": "native", "native": "native", "torch": "torch"}
+
+
+def test_a_compiler_that_fails_is_quoted(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    broken = tmp_path / "broken"
+    broken.write_text(
+        '#!/bin/sh\n[ "$1" = --version ] || { echo "fatal error: nope" >&2; exit 1; }\n'
+    )
+    broken.chmod(0o755)
+    with pytest.raises(Unavailable, match=r"cannot compile learner\.cpp: fatal error: nope"):
+        native.compiled(compiler=str(broken))
+    assert not list((tmp_path / "atari_dqn" / "native").iterdir()), "something half-made is left"
+
+
+def test_several_processes_may_build_it_at_once(tmp_path):
+    environment = {**os.environ, "XDG_CACHE_HOME": str(tmp_path)}
+    code = "from atari_dqn import native; native.load(); print(native.compiled())"
+    started = [
+        subprocess.Popen([sys.executable, "-c", code], env=environment, stdout=subprocess.PIPE)
+        for _ in range(3)
+    ]
+    printed = {process.communicate()[0] for process in started}
+    assert [process.returncode for process in started] == [0, 0, 0]
+    (path,) = printed
+    assert list((tmp_path / "atari_dqn" / "native").iterdir()) == [Path(path.decode().strip())]
