@@ -11,7 +11,7 @@ import torch
 from atari_dqn import films
 from atari_dqn.agents import AGENTS
 from atari_dqn.envs import game_of
-from atari_dqn.evaluation import play
+from atari_dqn.evaluation import play, player_of
 from atari_dqn.films import play_with_instruments, side_by_side
 
 
@@ -42,7 +42,8 @@ def image(png):
 def test_the_filmed_game_is_the_evaluated_one(small, game, agent):
     params = small(game=game, agents=[agent], max_game_frames=1200, evaluation_epsilon=0.3)
     network = untrained(params)
-    evaluated = {played.game: played for played in play(network, params, 3, seed=5)}
+    player = player_of(network, params)
+    evaluated = {played.game: played for played in play(player, params, 3, seed=5)}
     film = play_with_instruments(network, params, "Agent", 5, 2, seconds=(None, 0.2))
     assert repr(film.games) == repr((evaluated[2],))  # nan is not equal to itself
 
@@ -129,7 +130,7 @@ def test_three_contestants_play_until_the_last_has_finished(small):
     pictures, _ = decoded(film.video)
     assert len(pictures) == max(game.length for game in film.games) + 1 + 15
     for (network, params), filmed in zip(contestants.values(), film.games, strict=True):
-        assert [filmed] == list(play(network, params, 1, seed=1))
+        assert [filmed] == list(play(player_of(network, params), params, 1, seed=1))
     bright = [[picture[48:330, x : x + 218].mean() for x in (16, 250, 484)] for picture in pictures]
     for column, game in enumerate(film.games):
         during, after = bright[game.length - 1][column], bright[game.length][column]

@@ -9,7 +9,6 @@ import signal
 import subprocess
 import sys
 import time
-from dataclasses import fields
 
 import pandas as pd
 import pytest
@@ -28,6 +27,7 @@ FILES = {
         "values.csv",
         "evaluations.csv",
         "model.safetensors",
+        "games.jsonl.zst",
     ),
     *("status.json", "provenance.json"),
 }
@@ -70,7 +70,7 @@ def test_a_finished_runs_folder_holds_all_it_promises(finished):
         "episodes": 3,
     }
     episodes = pd.read_csv(folder / "episodes.csv")
-    assert list(episodes) == [field.name for field in fields(Episode)]
+    assert list(episodes) == Episode.columns()
     assert episodes.episode.tolist() == [1, 2, 3]
     assert episodes.loss.notna().all()
     assert (episodes.score % 1 == 0).all()
@@ -81,6 +81,7 @@ def test_a_finished_runs_folder_holds_all_it_promises(finished):
     assert provenance["resumes"] == 0
     (session,) = provenance["sessions"]
     assert session["threads"] == 1
+    assert session["learner"] == provenance["learner"] == "native"
     assert session["versions"]["torch"]
     assert 100 < session["peak_memory_megabytes"] < 2000
 
@@ -93,7 +94,7 @@ def test_the_published_model_is_the_trained_one_in_half_precision(finished, smal
     for episode in trainer.run():
         if episode is not None and episode.episode == 3:
             break
-    for name, value in trainer.learner.online.state_dict().items():
+    for name, value in trainer.learner.weights().items():
         assert (weights[name] == value.half()).all(), name
 
 
@@ -130,10 +131,10 @@ def test_evaluation_games_do_not_depend_on_how_many_are_played_at_once(finished,
     folder, _, _ = finished
     parameters = params.parse(params.read_values(folder / "params.yaml"), "stored")
     network = evaluation.load_model(folder / "model.safetensors", parameters)
-    played = {}
+    player, played = evaluation.player_of(network, parameters), {}
     for emulators in (1, 3):
         monkeypatch.setattr(evaluation, "EMULATORS", emulators)
-        games = list(evaluation.play(network, parameters, 4, seed=1))
+        games = list(evaluation.play(player, parameters, 4, seed=1))
         played[emulators] = sorted(games, key=lambda game: game.game)
     assert played[1] == played[3]
     assert len({(game.score, game.length) for game in played[1]}) > 1
@@ -280,7 +281,7 @@ def test_no_room_for_a_row_is_a_clear_error_and_the_run_continues_later(
     def open_on_a_full_disk(self, run):
         opened(self, run)
         self.files["episodes.csv"].close()
-        self.files["episodes.csv"] = io.TextIOWrapper(io.BufferedWriter(FullDisk()))
+        self.files["episodes.csv"] = io.BufferedWriter(FullDisk())
 
     with monkeypatch.context() as patch:
         patch.setattr(recording.Recorder, "__init__", open_on_a_full_disk)
@@ -409,11 +410,21 @@ def test_a_run_whose_folder_was_lost_comes_back_whole_from_its_checkpoint(tmp_pa
     assert (run.folder / "snapshots" / "games-00001.safetensors").exists()
 
 
-def test_a_resume_on_anotherprocessor_is_told(tmp_path, small, monkeypatch):
-    recording.train(Run(small(episodes=1), tmp_path))
+def test_a_resume_that_may_give_other_bits_is_told(tmp_path, small, monkeypatch):
+    """PyTorch's depend on the processor, the native learner's do not."""
+    run = Run(small(episodes=1, learner="torch"), tmp_path)
+    recording.train(run)
     monkeypatch.setattr(recording, "processor", lambda: "another one")
     with pytest.warns(UserWarning, match="goes on with another one"):
-        recording.train(Run(small(episodes=2), tmp_path))
+        recording.train(Run(small(episodes=2, learner="torch"), tmp_path))
+    with pytest.warns(UserWarning, match="began with learner torch and goes on with native"):
+        recording.train(Run(small(episodes=3), tmp_path))
+
+
+def test_a_native_run_may_go_on_on_another_processor(tmp_path, small, monkeypatch):
+    recording.train(Run(small(episodes=1), tmp_path))
+    monkeypatch.setattr(recording, "processor", lambda: "another one")
+    recording.train(Run(small(episodes=2), tmp_path))  # a warning would be an error
 
 
 def test_a_run_is_not_trained_by_two_processes_at_once(tmp_path, small):

@@ -10,10 +10,10 @@ hold a line of JSON a game (`zstd -dc games.jsonl.zst` shows them):
 
 "values" are the greedy games behind a row of values.csv, "evaluation" those of evaluations.csv.
 `actions` has a letter an agent step, A for the cartridge's first action; where actions are sticky,
-`rng` is the state of numpy's PCG64 that decides when, as [state, inc, has_uint32, uinteger].
+`rng` is the state of numpy's PCG64 that decides when: [state, inc, has_uint32, uinteger], the first
+two as hexadecimal text.
 """
 
-import io
 import json
 from collections.abc import Iterator
 from pathlib import Path
@@ -27,6 +27,7 @@ from atari_dqn.params import Parameters
 FILE = "games.jsonl.zst"
 TRAINING, VALUES, EVALUATION = "training", "values", "evaluation"
 LEVEL = 19  # of compression: a millisecond a game
+CHUNK = 4096  # bytes read at once
 
 
 class RecordError(RuntimeError):
@@ -43,8 +44,9 @@ def encode(kind: str, heading: dict[str, Any], record: GameRecord) -> bytes:
     return compressor.compress(json.dumps(values).encode() + b"\n")
 
 
-def _flat(rng: dict[str, Any]) -> list[int]:
-    return [rng["state"]["state"], rng["state"]["inc"], rng["has_uint32"], rng["uinteger"]]
+def _flat(rng: dict[str, Any]) -> list[str | int]:
+    state, inc = (hex(rng["state"][key]) for key in ("state", "inc"))
+    return [state, inc, rng["has_uint32"], rng["uinteger"]]
 
 
 def _game_record(values: dict[str, Any]) -> GameRecord:
@@ -53,7 +55,7 @@ def _game_record(values: dict[str, Any]) -> GameRecord:
         state, inc, has_uint32, uinteger = values["rng"]
         rng = {
             "bit_generator": "PCG64",
-            "state": {"state": state, "inc": inc},
+            "state": {"state": int(state, 16), "inc": int(inc, 16)},
             "has_uint32": has_uint32,
             "uinteger": uinteger,
         }
@@ -66,10 +68,9 @@ def read(data: bytes, source: str) -> Iterator[tuple[dict[str, Any], GameRecord]
 
     Raises RecordError, which names `source`, at the first game that is damaged.
     """
-    reader = zstandard.ZstdDecompressor().stream_reader(data, read_across_frames=True)
     games = 0
     try:
-        for line in io.BufferedReader(reader):
+        for line in _frames(data):
             heading = json.loads(line)
             record = _game_record(heading)
             for key in ("idle_frames", "rng", "actions"):
@@ -78,6 +79,22 @@ def read(data: bytes, source: str) -> Iterator[tuple[dict[str, Any], GameRecord]
             games += 1
     except (zstandard.ZstdError, ValueError, KeyError, TypeError) as error:
         raise RecordError(f"{source} is damaged after {games} games: {error}") from None
+
+
+def _frames(data: bytes) -> Iterator[bytes]:
+    """What each zstandard frame holds. Raises ZstdError if one is damaged, ValueError if the last
+    one is not whole."""
+    frame, content, whole = zstandard.ZstdDecompressor().decompressobj(), b"", True
+    for start in range(0, len(data), CHUNK):
+        rest = data[start : start + CHUNK]
+        while rest:
+            content += frame.decompress(rest)
+            whole, rest = frame.eof, frame.unused_data
+            if whole:
+                yield content
+                frame, content = zstandard.ZstdDecompressor().decompressobj(), b""
+    if not whole:
+        raise ValueError("the last game is cut short")
 
 
 def replaced(data: bytes, kind: str, games: list[tuple[dict[str, Any], GameRecord]]) -> bytes:
