@@ -29,7 +29,6 @@ from atari_dqn import plots
 from atari_dqn.agents import AGENTS
 from atari_dqn.cost import OURS, best_setups, draw_throughput
 from atari_dqn.envs import ALEInterface
-from atari_dqn.networks import Linear
 from atari_dqn.recording import processor
 from atari_dqn.runs import project_root
 from atari_dqn.training import prepare_process
@@ -38,6 +37,11 @@ HERE = Path(__file__).parent
 CORES = os.cpu_count() or 1
 TRIALS = 2  # rounds of all set-ups; one alone may be a slow spell's
 SCRIPTS = {OURS: "run_ours.py", "Stable-Baselines3": "run_sb3.py", "Tianshou": "run_tianshou.py"}
+
+
+# The speed of a machine that does nothing but emulation and the necessary arithmetic at its highest
+# speed: what is necessary for direct convolutions, or by the best algorithm that is known for them.
+ROOFLINES = {"share_of_direct_roofline": False, "share_of_needed_roofline": True}
 
 
 @dataclass(frozen=True)
@@ -91,17 +95,13 @@ def contestants() -> Iterator[Contestant]:
 
 
 def matrix_peak() -> float:
-    """Float32 operations a second of one core: the faster of torch's two matrix products."""
+    """Float32 operations a second of one core, by torch's matrix product."""
     size, best = 1024, 0.0
     x, weight = torch.randn(size, size), torch.randn(size, size)
-    layer = Linear(size, size)
-    layer.weight = nn.Parameter(weight)
-    with torch.no_grad():
-        for product in (lambda: torch.mm(x, weight), lambda: layer(x)):
-            for _ in range(40):
-                start = time.perf_counter()
-                product()
-                best = max(best, 2 * size**3 / (time.perf_counter() - start))
+    for _ in range(40):
+        start = time.perf_counter()
+        torch.mm(x, weight)
+        best = max(best, 2 * size**3 / (time.perf_counter() - start))
     return best
 
 
@@ -137,11 +137,25 @@ def layer_operations(agent: str) -> list[tuple[nn.Module, int, bool]]:
     return found
 
 
-def operations(agent: str) -> float:
-    """Float operations of an agent step: its share of an update, and selecting its action."""
-    layers = layer_operations(agent)
-    forward = sum(each for _, each, _ in layers)
-    to_input = sum(each for _, each, wanted in layers if wanted)
+# Multiplications of a Cook-Toom convolution (native/learner.cpp) as a share of the direct one's: it
+# needs (m + r - 1)^2 for a tile of m x m outputs of an r x r filter. By inputs of the layer.
+COOK_TOOM = {
+    4: 25 * 25 / (20 * 20 * 4),  # F(4, 2), 5x5 tiles for 20x20 outputs; 2x2 taps of blocks
+    32: 9 * 16 / (9 * 9 * 4),  # F(3, 2), 3x3 tiles for 9x9 outputs
+    64: 4 * 36 / (7 * 7 * 9),  # F(4, 3), 2x2 tiles for 7x7 outputs
+}
+
+
+def operations(agent: str, needed: bool = False) -> float:
+    """Float operations of an agent step: its share of an update, and selecting its action. By
+    direct convolutions, or those that are really needed: by Cook-Toom convolutions, transforms
+    left out."""
+    layers = [
+        (each * (COOK_TOOM[layer.in_channels] if needed and isinstance(layer, nn.Conv2d) else 1), d)
+        for layer, each, d in layer_operations(agent)
+    ]
+    forward = sum(each for each, _ in layers)
+    to_input = sum(each for each, wanted in layers if wanted)
     # target on s', online on s, the gradients of weights and of inputs; Double: online on s' too
     passes = 3 * forward + to_input + (forward if agent == "double_dqn" else 0)
     return BATCH * passes / UPDATE_PERIOD + forward
@@ -159,8 +173,11 @@ def finalists(speeds: dict[Contestant, list[float]]) -> list[Contestant]:
     return [*best.values(), *alone]
 
 
-def table(speeds: dict[Contestant, list[float]], roofline: dict[str, float]) -> pd.DataFrame:
-    """A row a contestant; shares and ratios are of medians."""
+def table(
+    speeds: dict[Contestant, list[float]], rooflines: dict[str, dict[str, float]]
+) -> pd.DataFrame:
+    """A row a contestant; shares and ratios are of medians. `rooflines`: agent steps a second of a
+    core, by the name of the share's column and by agent."""
     medians = {contestant: float(np.median(found)) for contestant, found in speeds.items()}
     rows = []
     for contestant, found in speeds.items():
@@ -182,9 +199,10 @@ def table(speeds: dict[Contestant, list[float]], roofline: dict[str, float]) -> 
                 "high": round(max(found), 1),
                 "rounds": len(found),
                 "ratio_to_best_peer": round(medians[contestant] / max(peers), 2),
-                "share_of_roofline": round(
-                    medians[contestant] / (roofline[contestant.agent] * cores), 3
-                ),
+                **{
+                    name: round(medians[contestant] / (speeds[contestant.agent] * cores), 3)
+                    for name, speeds in rooflines.items()
+                },
             }
         )
     return pd.DataFrame(rows)
@@ -209,11 +227,13 @@ def main() -> None:
             speeds[contestant].append(speed)
             print(f"round {turn + 1}: {contestant} {speed:.0f} steps/s", flush=True)
     peak, emulation = float(np.median(peaks)), float(np.median(emulations))
-    roofline = {
-        agent: 1 / (operations(agent) / peak + emulation) for agent in ("dqn", "double_dqn")
+    agents = ("dqn", "double_dqn")
+    rooflines = {
+        name: {agent: 1 / (operations(agent, needed) / peak + emulation) for agent in agents}
+        for name, needed in ROOFLINES.items()
     }
     chosen.output.mkdir(parents=True, exist_ok=True)
-    measured = table(speeds, roofline)
+    measured = table(speeds, rooflines)
     measured.to_csv(chosen.output / "throughput.csv", index=False)
     plots.style()
     figure = draw_throughput(best_setups(measured))
@@ -223,8 +243,14 @@ def main() -> None:
         "cores": CORES,
         "float32_gflops_a_core": round(peak / 1e9, 1),
         "emulation_ms_an_agent_step": round(emulation * 1e3, 3),
-        "megaflop_an_agent_step": {a: round(operations(a) / 1e6, 1) for a in roofline},
-        "roofline_steps_per_second_a_core": {a: round(v, 1) for a, v in roofline.items()},
+        "megaflop_an_agent_step": {
+            name: {agent: round(operations(agent, needed) / 1e6, 1) for agent in agents}
+            for name, needed in ROOFLINES.items()
+        },
+        "roofline_steps_per_second_a_core": {
+            name: {agent: round(speed, 1) for agent, speed in speeds_of.items()}
+            for name, speeds_of in rooflines.items()
+        },
         "rounds": chosen.rounds,
         "agent_steps_timed": chosen.steps,
         "update_period": UPDATE_PERIOD,

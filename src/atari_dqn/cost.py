@@ -1,17 +1,15 @@
 """Speed and cost: the stored benchmark beside the peers, and the hours that the runs took."""
 
 import json
-from itertools import cycle
 
-import numpy as np
 import pandas as pd
 import seaborn as sns
 from matplotlib import pyplot as plt
 
 from atari_dqn import params, plots, provenance, runs
 from atari_dqn.agents import AGENTS
-from atari_dqn.exhibits import hold_places, show_absent, show_figure, show_table, show_text
-from atari_dqn.sections import Section, Study, data
+from atari_dqn.exhibits import show_absent, show_figure, show_table, show_text
+from atari_dqn.sections import Study, data
 
 OURS = "atari-dqn"
 FOLDER = "results/benchmarks"
@@ -167,124 +165,6 @@ def show_whole_run() -> None:
         "with random play; one measurement each.",
         decimals=1,
     )
-
-
-TRAINING_GAMES = 50  # of which the score while training is the mean
-SETTINGS_COLUMNS = (
-    *("setup", "cpu_minutes", "agent_steps", "updates", "training_games"),
-    *("games", "score", "low", "high"),
-)
-
-
-def show_settings(main: Section) -> None:
-    """What single changes of the settings score for the same processor time; `main` is the run
-    whose settings they change."""
-    figure_label, table_label = "fig-settings-study", "tbl-settings-study"
-    path = runs.project_root() / FOLDER / "settings.csv"
-    if not path.exists():
-        show_absent(figure_label, "`python benchmarks/settings.py` has not been run.")
-        hold_places(table_label)
-        return
-    measured = pd.read_csv(path).reindex(columns=SETTINGS_COLUMNS)
-    guessed, trained = measured[measured.cpu_minutes.isna()], measured.dropna(subset="cpu_minutes")
-    figure, axes = plt.subplots(figsize=(plots.WIDTH, 3.2))
-    looks = zip(sns.color_palette("colorblind"), cycle("osD^vP"), strict=False)
-    for (name, rows), (colour, marker) in zip(
-        trained.groupby("setup", sort=False), cycle(looks), strict=False
-    ):
-        errors = (rows.score - rows.low, rows.high - rows.score)
-        axes.errorbar(
-            rows.cpu_minutes, rows.score, errors, label=name, color=colour, marker=marker,
-            ms=4, lw=1.3, capsize=2, elinewidth=0.8,
-        )  # fmt: skip
-    axes.axhline(guessed.score.mean(), color="0.45", lw=0.8, ls=":", label="random play")
-    axes.set(xlabel="processor time of training (minutes)", ylabel="score of 50 greedy games")
-    axes.legend(fontsize="small")
-    show_figure(
-        figure,
-        label=figure_label,
-        caption="Double DQN in Boxing, one setting changed at a time, for the same processor time. "
-        "Bars are 95% bootstrap intervals over 50 evaluation games of one run each: they hold the "
-        "luck of these games, and neither that of the seed nor that of the moment.",
-        alt="Scores of greedy evaluation games against processor time, a line a setting.",
-        data=f"{FOLDER}/settings.csv",
-    )
-    # Each after the time that all were given, then the last of those that went on.
-    common = trained.groupby("setup").cpu_minutes.max().min()
-    last = trained.groupby("setup", sort=False).tail(1)
-    longer = last[last.cpu_minutes > common]
-    compared = trained[trained.cpu_minutes == common]
-    rows = pd.concat([guessed, compared, longer])
-    games = pd.read_csv(runs.project_root() / FOLDER / "settings_training.csv")
-    recent = [_recent(games, row.setup, row.training_games) for row in rows.itertuples()]
-    shown = pd.DataFrame(
-        {
-            "setting": rows.setup,
-            "minutes": rows.cpu_minutes,
-            "updates": rows.updates.map("{:,.0f}".format).replace("nan", "–"),
-            "greedy score": [
-                f"{row.score:.1f} ({row.low:.1f} to {row.high:.1f})" for row in rows.itertuples()
-            ],
-            "games": rows.training_games.map("{:,.0f}".format).replace("nan", "–"),
-            f"last {TRAINING_GAMES}": [score for score, _ in recent],
-            "epsilon": [f"{epsilon:.2f}".replace("nan", "–") for _, epsilon in recent],
-        }
-    )
-    later = ", and after longer for those that went on" if len(longer) else ""
-    show_table(
-        shown,
-        label=table_label,
-        caption=f"The same after the time that each setting was given{later}: mean score of "
-        "the greedy games with its 95% interval; training games, and the mean score of the last "
-        f"{TRAINING_GAMES} with the epsilon of the last one. Scores while training compare at the "
-        "same epsilon only.",
-        decimals=1,
-    )
-    until = trained[trained.cpu_minutes <= common]
-    jump = until.groupby("setup").score.diff().abs().max()
-    apart = compared.score.max() - compared.score.min()
-    if len(compared) > 1 and jump > 0:
-        show_text(
-            f"After {common:.0f} minutes the greedy scores lie {apart:.1f} points apart. That of "
-            f"one and the same run had moved by up to {jump:.1f} from one evaluation to the next: "
-            + (
-                "too much to tell one setting from another by it."
-                if apart < 2 * jump
-                else "the first can be told from the last by it, as far as one run of each goes."
-            )
-        )
-    show_text(_main_run(games, main))
-
-
-def _recent(games: pd.DataFrame, setup: str, count: float) -> tuple[float, float]:
-    """Mean score of the last training games up to the `count`-th, and epsilon in the last; nan
-    where none were played."""
-    own = games[(games.setup == setup) & (games.episode <= count)].tail(TRAINING_GAMES)
-    return (own.score.mean(), own.epsilon.iloc[-1]) if len(own) else (np.nan, np.nan)
-
-
-def _main_run(games: pd.DataFrame, main: Section) -> str:
-    """What the study's unchanged set-up has to do with the main run of the same agent; empty if
-    their scores are not the same."""
-    if main.episodes.empty:
-        return ""
-    unchanged = games.setup.iloc[0]
-    ours = games[games.setup == unchanged].score.to_numpy()
-    stored = main.episodes.score.to_numpy()
-    both = min(len(ours), len(stored))
-    if both < TRAINING_GAMES or (ours[:both] != stored[:both]).any():
-        return ""
-    text = (
-        f"*{unchanged.capitalize()}* is the set-up of the final experiment, and this its Double "
-        f"DQN over again: each of the {both} training games that both have played ended with the "
-        "same score."
-    )
-    if not main.stored_evaluations.empty:
-        usual = main.as_trained(main.stored_evaluations)
-        means = usual.groupby("trained_games").score.mean()
-        said = [f"{mean:.1f} points after {games} games" for games, mean in means.items()]
-        text += f" It goes on there, and scored {', '.join(said)} in greedy games."
-    return text
 
 
 def show_hours(study: Study) -> None:
