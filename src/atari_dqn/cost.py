@@ -6,14 +6,14 @@ import pandas as pd
 import seaborn as sns
 from matplotlib import pyplot as plt
 
-from atari_dqn import params, plots, provenance, runs
+from atari_dqn import plots, provenance, runs
 from atari_dqn.agents import AGENTS
 from atari_dqn.exhibits import show_absent, show_figure, show_table, show_text
 from atari_dqn.sections import Study, data
 
 OURS = "atari-dqn"
 FOLDER = "results/benchmarks"
-AIMED_SHARE, AIMED_RATIO = 0.75, 2.3  # of the roofline; of the fastest peer's speed
+AIMED_RATIO = 2.6  # of the fastest peer's speed
 
 
 def best_setups(measured: pd.DataFrame) -> pd.DataFrame:
@@ -23,7 +23,7 @@ def best_setups(measured: pd.DataFrame) -> pd.DataFrame:
 
 
 def draw_throughput(best: pd.DataFrame) -> plt.Figure:
-    """Bars of agent steps a second, and the roofline of each agent."""
+    """Bars of agent steps a second, and the roofline of direct convolutions for each agent."""
     figure, axes = plt.subplots(figsize=(plots.WIDTH, 2.6))
     colours = {AGENTS[agent].title: plots.COLOURS[agent] for agent in best.agent.unique()}
     shown = best.assign(agent=best.agent.map(lambda agent: AGENTS[agent].title))
@@ -31,7 +31,7 @@ def draw_throughput(best: pd.DataFrame) -> plt.Figure:
     for bars in axes.containers:
         axes.bar_label(bars, fmt="%.0f", padding=3, fontsize="small")
     ours = best[best.library == OURS].set_index("agent")
-    for agent, roof in (ours.steps_per_second / ours.share_of_roofline).items():
+    for agent, roof in (ours.steps_per_second / ours.share_of_direct_roofline).items():
         axes.axvline(roof, color=plots.COLOURS[agent], ls="--", lw=1)
         axes.annotate(
             "roofline", (roof, 0.02), xycoords=("data", "axes fraction"), xytext=(-2, 0),
@@ -57,37 +57,29 @@ def show_throughput() -> None:
         caption=f"Training speed on {machine['cores']} cores of an {machine['processor']}: Boxing, "
         f"batch 32, one update every {machine['update_period']} agent steps, everything included. "
         "Each library in its best set-up; `results/benchmarks/throughput.csv` has them all. "
-        "Dashed: what the machine could do at most. Stable-Baselines3 has no Double DQN.",
+        "Dashed: what the machine could do at most with direct convolutions. Stable-Baselines3 has "
+        "no Double DQN.",
         alt="Bars of agent steps a second for this project and its peers.",
         data=f"{FOLDER}/throughput.csv",
     )
     ours = best[(best.library == OURS) & (best.agent == "dqn")].iloc[0]
     peer = best[(best.library != OURS) & (best.agent == "dqn")].iloc[0]
-    study = params.load(runs.project_root() / "params" / "boxing_final.yaml")
+    reached = "reached" if ours.ratio_to_best_peer >= AIMED_RATIO else "missed"
     show_text(
         f"With DQN this project makes {ours.steps_per_second:.0f} agent steps a second, "
         f"{ours.ratio_to_best_peer:.2f} times {peer.library}, the "
-        "faster of two well-known libraries, in its best set-up. (The benchmark updates every "
-        f"{machine['update_period']} agent steps, as is usual; the runs of this study every "
-        f"{study.update_period}.) That is "
-        f"{ours.share_of_roofline:.0%} of the machine's *roofline*, the speed it would have if it "
+        "faster of two well-known libraries, in its best set-up. (The aim of "
+        f"{AIMED_RATIO} times is {reached}.) A machine's *roofline* is the speed it would have if it "
         "did nothing but the necessary arithmetic at its processor's highest speed "
         f"({machine['float32_gflops_a_core']:.0f} billion operations a second and core) and the "
-        "emulation; and that speed, which no program that does the same arithmetic can pass, "
-        f"would be {1 / peer.share_of_roofline:.2f} times {peer.library}."
+        "emulation. A program that computes each convolution as it is defined cannot pass "
+        f"{1 / peer.share_of_direct_roofline:.2f} times {peer.library}; ours reaches "
+        f"{ours.share_of_direct_roofline:.0%} of that roofline, because it needs fewer "
+        "multiplications. Held to the roofline of those, it reaches "
+        f"{ours.share_of_needed_roofline:.0%}: the rest are the transforms that save them, Adam's "
+        "memory traffic, and the replay memory."
     )
     show_text(_gain_of_cores(measured[measured.library == OURS], machine["cores"]))
-    show_text(_aims(ours.share_of_roofline, ours.ratio_to_best_peer, 1 / peer.share_of_roofline))
-
-
-def _aims(share: float, ratio: float, most: float) -> str:
-    """How far what was aimed at has been reached; `most` is the roofline's ratio to the peer."""
-    missed = "missed" if most >= AIMED_RATIO else "missed, and above the roofline of this machine"
-    aims = {
-        f"{AIMED_SHARE:.0%} of the roofline": "reached" if share >= AIMED_SHARE else "missed",
-        f"{AIMED_RATIO} times the fastest peer": "reached" if ratio >= AIMED_RATIO else missed,
-    }
-    return f"The aims were {' and '.join(f'{aim} ({how})' for aim, how in aims.items())}."
 
 
 def _gain_of_cores(ours: pd.DataFrame, cores: int) -> str:
@@ -111,6 +103,35 @@ def _gain_of_cores(ours: pd.DataFrame, cores: int) -> str:
             f"{both.low:.0f} to {both.high:.0f}.)"
         )
     return text
+
+
+def show_learners() -> None:
+    """The native learner beside PyTorch's in the whole training loop."""
+    label, path = "tbl-learners", runs.project_root() / FOLDER / "learners.csv"
+    if not path.exists():
+        show_absent(label, "`python benchmarks/learners.py` has not been run.")
+        return
+    measured = pd.read_csv(path)
+    shown = pd.DataFrame(
+        {
+            "run": measured.experiment,
+            "agent": measured.agent.map(lambda agent: AGENTS[agent].title),
+            "PyTorch": measured.torch_steps_per_second,
+            "native": measured.native_steps_per_second,
+            "times": [
+                f"{row.ratio:.2f} ({row.low:.2f} to {row.high:.2f})"
+                for row in measured.itertuples()
+            ],
+        }
+    )
+    show_table(
+        shown,
+        label=label,
+        caption="Agent steps a second of processor time with either learner, everything included "
+        f"and {measured.transitions.min():,} transitions stored: the same loop in turns, and how "
+        "many times as fast the native one is (90% interval of the median).",
+        decimals=1,
+    )
 
 
 def show_breakdown() -> None:
