@@ -277,7 +277,7 @@ def test_greedy_games_decide_where_two_set_ups_explore_differently(tmp_path):
             evaluate(run, score=50.0, conceded=conceded)
     found = verdict(tmp_path, claim)
     assert found.verdict == verdicts.SUPPORTED
-    assert "conceded a minute, greedy: DQN: `boxing_low_gamma` 15." in found.evidence
+    assert "conceded a minute, greedy: Dueling Double DQN: `boxing_low_gamma` 15." in found.evidence
     evaluate(run, score=50.0, conceded=1.0)
     assert verdict(tmp_path, claim).verdict == verdicts.CONTRADICTED
     evaluate(run, trained=300, score=50.0, conceded=30.0)
@@ -321,10 +321,10 @@ def test_what_is_gained_counts_in_expert_mode_and_not_the_scale_of_its_scores(tm
     rising = np.linspace(0, 30, 3000)
     for agent in ("dqn", "double_dqn", "dueling_double_dqn"):
         store(tmp_path, "boxing_final", agent, rising + scores(0, seed=1))
-        store(tmp_path, "boxing_expert", agent, rising + scores(20, seed=2))
+        store(tmp_path, "boxing_expert", agent, rising[:1000] + scores(20, 1000, seed=2))
     assert verdict(tmp_path, claim).verdict == verdicts.INCONCLUSIVE
     for agent in ("dqn", "double_dqn", "dueling_double_dqn"):
-        store(tmp_path, "boxing_expert", agent, 10 * rising + scores(0, seed=2))
+        store(tmp_path, "boxing_expert", agent, 10 * rising[:1000] + scores(0, 1000, seed=2))
     assert verdict(tmp_path, claim).verdict == verdicts.SUPPORTED
 
 

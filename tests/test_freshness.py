@@ -54,13 +54,13 @@ def test_only_what_a_section_is_made_from_makes_it_stale(notebook, tmp_path, mon
     assert changes(package / "cluster.py"), "drawn"
 
 
-def test_a_small_section_depends_on_the_full_file_too(notebook, tmp_path, monkeypatch):
+def test_a_small_section_depends_on_the_bases_of_its_file_too(notebook, tmp_path, monkeypatch):
     shutil.copytree(ROOT / "params", tmp_path / "params")
     shutil.copy(ROOT / "pyproject.toml", tmp_path)
     monkeypatch.chdir(tmp_path)
     before = freshness.fingerprint(notebook, "smoke", tmp_path)
-    full = tmp_path / "params" / "boxing_final.yaml"
-    full.write_text(full.read_text().replace("evaluation_epsilon: 0.001", "evaluation_epsilon: 0"))
+    base = tmp_path / "params" / "base" / "atari.yaml"
+    base.write_text(base.read_text().replace("evaluation_epsilon: 0.001", "evaluation_epsilon: 0"))
     assert freshness.fingerprint(notebook, "smoke", tmp_path) != before
 
 

@@ -9,11 +9,11 @@ import pandas as pd
 import pytest
 import zstandard
 
-from atari_dqn import evaluation, recording, records, runs, verification
+from atari_dqn import audit, evaluation, recording, records, runs
+from atari_dqn.audit import Difference, verify
 from atari_dqn.envs import AtariGame, GameRecord, game_of
 from atari_dqn.records import RecordError
 from atari_dqn.runs import Run
-from atari_dqn.verification import Difference, verify
 
 
 @pytest.mark.parametrize("sticky", [0.0, 0.25])
@@ -113,7 +113,7 @@ def trained(tmp_path_factory):
     patch.setenv("ATARI_DQN_STATE", str(folder / "state"))
     patch.setattr(recording, "VALUES_PERIOD", 2)
     patch.setattr(evaluation, "VALUE_GAMES", 3)
-    patch.setattr(verification, "VALUE_GAMES", 3)
+    patch.setattr(audit, "VALUE_GAMES", 3)
     more = {"episodes": 5, "sticky_actions": 0.25, "evaluation_difficulties": [0, 3]}
     run = Run(Parameters(**{**SMALL, **more, "max_game_frames": 600}), folder)
     recording.train(run)

@@ -12,12 +12,12 @@ import typer
 from tabulate import tabulate
 from tqdm import tqdm
 
-from atari_dqn import experiments, params, recording, records, runs, verification
+from atari_dqn import audit, experiments, params, recording, records, runs
+from atari_dqn.audit import Difference
 from atari_dqn.checkpoints import CheckpointError
 from atari_dqn.params import ParameterError
 from atari_dqn.records import RecordError
 from atari_dqn.runs import Run, RunError
-from atari_dqn.verification import Difference
 
 app = typer.Typer(
     help="Train, evaluate and report on Deep Q-Networks that play Atari Boxing and Breakout.",
@@ -141,9 +141,9 @@ def replay(
 ) -> None:
     """Play a training game again from its record."""
     _writable(video)
-    parameters = verification.stored_parameters(run_dir)
-    record = verification.find(run_dir, episode)
-    facts = verification.outcome(parameters, record)
+    parameters = audit.stored_parameters(run_dir)
+    record = audit.find(run_dir, episode)
+    facts = audit.outcome(parameters, record)
     if video is not None:
         from atari_dqn import films  # what it draws with takes seconds to import
 
@@ -166,7 +166,7 @@ def verify(
     ] = False,
 ) -> None:
     """Play games of a run again and compare them with its tables; exit 1 at a difference."""
-    checked = verification.verify(run_dir, None if everything else episodes)
+    checked = audit.verify(run_dir, None if everything else episodes)
     count = sum(1 for _ in tqdm(checked, desc="verifying", unit="game", mininterval=2, leave=False))
     print(f"{count} games played again: all as the tables say")
 

@@ -53,9 +53,6 @@ def _stored(code: str, profile: str, results: Path) -> Iterator[Path]:
     for path in experiments.files(profile):
         if not re.search(rf"""["']{path.stem}["']|\bStudy\(""", code):
             continue
-        yield path
-        full = path.parent.parent / path.name  # from which a small profile's says how it differs
-        if profile != "full" and full.exists():
-            yield full
+        yield from params.files_behind(path)
         for run in runs.runs_of(params.load(path), results):
             yield from sorted(file for file in run.folder.rglob("[!.]*") if file.is_file())

@@ -258,6 +258,14 @@ def _read_values(path: Path, above: tuple[Path, ...]) -> dict[str, Any]:
     return merged | values
 
 
+def files_behind(path: Path) -> list[Path]:
+    """A parameter file, and those that it is based on."""
+    values = YAML(typ="safe", pure=True).load(path.read_text(encoding="utf-8"))
+    given = values.get("base", [])
+    names = [given] if isinstance(given, str) else given
+    return [path, *(file for name in names for file in files_behind(path.parent / name))]
+
+
 def _yaml_message(error: Exception) -> str:
     problem = getattr(error, "problem", None) or str(error).splitlines()[0]
     problem = problem.split(" with value")[0]  # "found duplicate key "gamma" with value ..."

@@ -8,7 +8,9 @@ PACKAGE = Path(__file__).parent
 
 def modules() -> dict[str, Path]:
     """{name: file} of every module."""
-    return {path.stem: path for path in sorted(PACKAGE.glob("*.py"))}
+    single = {path.stem: path for path in PACKAGE.glob("*.py")}
+    packages = {path.parent.name: path for path in PACKAGE.glob("*/__init__.py")}
+    return dict(sorted((single | packages).items()))
 
 
 def imports(code: str) -> set[str]:

@@ -170,12 +170,12 @@ def ordered(study: Study, experiment: str, best: str, others: list[str], mark: i
 def between(
     study: Study, first: str, second: str, mark: int | None = None, **how: float
 ) -> list[Verdict]:
-    """That an agent scores more in the first experiment than in the second, up to a mark or at the
-    last games of the shorter one: a verdict for every agent. `how` is for `better`."""
+    """That an agent scores more in the first experiment than in the second, up to a mark of the
+    longer one or at the last games of the shorter: a verdict for every agent. `how` is for
+    `better`."""
     pair = (study[first], study[second])
-    games = _last(min(pair, key=lambda section: section.params.episodes))
-    if mark is not None:
-        games = _mark(pair[0], mark)
+    shorter, longer = sorted(pair, key=lambda section: section.params.episodes)
+    games = _last(shorter) if mark is None else _mark(longer, mark)
     return [better(pair, (agent, agent), *games, **how) for agent in _shared(pair)] or [_ALONE]
 
 
