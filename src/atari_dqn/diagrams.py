@@ -381,7 +381,7 @@ def _columns(rows: list[list[str]], links: list[tuple[str, str]]) -> dict[str, f
         for row in rows * 15:
             wish = {node: np.mean([x[other] for other in near[node]] or x[node]) for node in row}
             row.sort(key=wish.__getitem__)
-            spaces = np.array([_breadth(node) + 0.05 for node in row])
+            spaces = np.array([_breadth(node) + 0.04 for node in row])
             offsets = np.cumsum(spaces) - spaces / 2
             # the places nearest to those wished for at which nothing overlaps
             starts = isotonic_regression([wish[node] for node in row] - offsets).x
