@@ -150,6 +150,32 @@ def test_what_is_evaluated_later_is_on_record_too(run):
     assert len(list(verify(run, None))) == 5 + 4 + 3 + 2
 
 
+def test_evaluations_stay_on_record_when_a_run_goes_on(tmp_path, small):
+    """Also those of a process that evaluates while another trains, and whose training was killed
+    in the middle of a line."""
+    run = Run(small(episodes=2), tmp_path)
+    recording.train(run)
+    runs.evaluate(run.folder, {"difficulty": 1}, games=1)
+    longer = Run(small(episodes=4), tmp_path)
+    log = recording.Recorder.log
+
+    def evaluate_meanwhile(self, episode):
+        log(self, episode)
+        if episode.episode == 3:
+            runs.evaluate(run.folder, {"difficulty": 2}, games=1)
+            with (run.folder / records.FILE).open("ab") as file:
+                file.write(b"(\xb5/\xfd half a game")
+            raise KeyboardInterrupt
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(recording.Recorder, "log", evaluate_meanwhile)
+        with pytest.raises(KeyboardInterrupt):
+            recording.train(longer)
+    recording.train(longer)
+    kinds = [name.split()[0] for name in verify(run.folder, None)]
+    assert (kinds.count("training"), kinds.count("evaluation")) == (4, 2 + 2 + 1 + 1)
+
+
 @pytest.mark.parametrize(
     ("file", "row", "column", "said"),
     [

@@ -247,7 +247,7 @@ def stop(run, how, interval, games=2):
 
 
 def assert_same_results(folder, other):
-    for name in ("episodes.csv", "model.safetensors", "evaluations.csv"):
+    for name in ("episodes.csv", "model.safetensors", "evaluations.csv", "games.jsonl.zst"):
         assert (folder / name).read_bytes() == (other / name).read_bytes(), name
 
 

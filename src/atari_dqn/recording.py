@@ -38,6 +38,7 @@ from atari_dqn.runs import (
     STALE,
     Run,
     RunError,
+    evaluations_lock,
     store_evaluation,
     write_atomically,
 )
@@ -51,6 +52,8 @@ LOGS = {
     "timing.csv": ["episode", "seconds", "cpu_seconds"],
     "values.csv": [field.name for field in fields(ValueCheck)],
 }
+
+WRITTEN = (*LOGS, records.FILE)
 
 
 def train(
@@ -152,10 +155,10 @@ class Recorder:
             self.sessions = saved["sessions"]
             written = saved["written"]
         self.files = {}
-        for name, data in written.items():  # what came after the checkpoint will come again
-            path = run.folder / name
-            write_atomically(path, data)
-            self.files[name] = path.open("ab")
+        for name in LOGS:  # what came after the checkpoint will come again
+            write_atomically(run.folder / name, written[name])
+            self.files[name] = (run.folder / name).open("ab")
+        self._restore_records(written[records.FILE])
         for name, data in self.snapshots.items():
             self._write_snapshot(name, data)
         params.dump(run.params, run.folder / "params.yaml")
@@ -171,6 +174,15 @@ class Recorder:
         self.write_status(RUNNING)
         if saved is None:
             self.save()  # so that stored games without a checkpoint are always a loss of state
+
+    def _restore_records(self, data: bytes) -> None:
+        """As of the checkpoint, but for evaluations, which may have been added since."""
+        path = self.run.folder / records.FILE
+        with evaluations_lock(self.run.folder):
+            later = records.evaluated(path.read_bytes()) if path.exists() else []
+            if later:
+                data = records.replaced(data, records.EVALUATION, later)
+            write_atomically(path, data)
 
     def _refuse_to_overwrite(self) -> None:
         """Raises RunError if games are stored that cannot be continued."""
@@ -245,14 +257,16 @@ class Recorder:
         write_atomically(self.run.folder / "snapshots" / name, data)
 
     def _record(self, kind: str, heading: dict[str, Any], record: GameRecord) -> None:
-        self._write(records.FILE, records.encode(kind, heading, record))
+        path, data = self.run.folder / records.FILE, records.encode(kind, heading, record)
+        try:
+            with evaluations_lock(self.run.folder), path.open("ab") as file:
+                file.write(data)
+        except OSError as error:
+            raise RunError(f"cannot write {path}: {error.strerror}") from error
 
     def _append(self, name: str, row: str) -> None:
-        self._write(name, row.encode() + b"\n")
-
-    def _write(self, name: str, data: bytes) -> None:
         try:
-            self.files[name].write(data)
+            self.files[name].write(row.encode() + b"\n")
             self.files[name].flush()
         except OSError as error:
             path = self.run.folder / name
@@ -283,7 +297,9 @@ class Recorder:
             "cpu_seconds": self.cpu_seconds,
             "sessions": self.sessions,
             "scores": self.scores,
-            "written": {name: (self.run.folder / name).read_bytes() for name in self.files},
+            "written": {
+                name: (self.run.folder / name).read_bytes() for name in (*LOGS, records.FILE)
+            },
             "snapshots": self.snapshots,
         }
         checkpoints.save(self.run.state_folder, state)

@@ -109,6 +109,19 @@ def replaced(data: bytes, kind: str, games: list[tuple[dict[str, Any], GameRecor
     return b"".join([*kept, *(encode(kind, heading, record) for heading, record in games)])
 
 
+def evaluated(data: bytes) -> list[tuple[dict[str, Any], GameRecord]]:
+    """The evaluation games in the bytes of a file, for `replaced`; as far as it is whole, since a
+    process may have been killed while it wrote."""
+    found = []
+    try:
+        for heading, record in read(data, FILE):
+            if heading.pop("kind") == EVALUATION:
+                found.append((heading, record))
+    except RecordError:
+        pass
+    return found
+
+
 def read_file(folder: Path) -> list[tuple[dict[str, Any], GameRecord]]:
     """All that a run's folder has on record. Raises RecordError if there is no file or it is
     damaged."""

@@ -284,6 +284,12 @@ def evaluate(folder: Path, overrides: dict[str, Any], games: int | None = None) 
     return table.sort_values("game", ignore_index=True)
 
 
+def evaluations_lock(folder: Path) -> FileLock:
+    """To be held while evaluations or records are written: a run may train, or end, while another
+    process evaluates it."""
+    return FileLock(folder / ".evaluations.lock")
+
+
 def store_evaluation(folder: Path, played: list[PlayedGame], trained_games: int) -> None:
     """Adds games of a model, after so many games of training, to evaluations.csv and to the games
     on record, in the place of the same games of the same model and settings."""
@@ -292,7 +298,7 @@ def store_evaluation(folder: Path, played: list[PlayedGame], trained_games: int)
     table = pd.DataFrame([game.row() for game in played])
     table["trained_games"] = trained_games
     settings = ["trained_games", "difficulty", "sticky_actions", "epsilon", "seed"]
-    with FileLock(folder / ".evaluations.lock"):  # training may end while another evaluates
+    with evaluations_lock(folder):
         if path.exists():
             table = pd.concat([pd.read_csv(path), table])
         table = table.drop_duplicates([*settings, "game"], keep="last")
