@@ -32,6 +32,7 @@ $(READY): environment.lock pyproject.toml
 	$(RUN) pip install --quiet --require-hashes --requirement environment.lock
 	$(RUN) pip install --quiet $(TORCH) $(if $(TORCH_INDEX),--index-url $(TORCH_INDEX))
 	$(RUN) pip install --quiet --no-deps --no-build-isolation --editable .
+	@$(RUN) atari_dqn.native
 	@touch $@
 
 report: $(READY) ## build results/report/index.html and report.pdf from the stored runs

@@ -188,8 +188,11 @@ def runner(project, *options):
     return subprocess.Popen(command, cwd=project, stderr=subprocess.PIPE, text=True)
 
 
-def wait_until(condition, process=None, seconds=90):
-    deadline = time.monotonic() + seconds
+PATIENCE = 1800  # seconds; only what hangs takes so long, even on a busy machine
+
+
+def wait_until(condition, process=None):
+    deadline = time.monotonic() + PATIENCE
     while not condition():
         assert time.monotonic() < deadline, "waited in vain"
         assert process is None or process.poll() is None, process.stderr.read()
@@ -212,12 +215,12 @@ def test_ctrl_c_leaves_all_runs_resumable_and_the_same_command_ends_them(project
     process = runner(project)
     wait_until(lambda: experiments.status(wanted).games.min() >= 2, process)
     process.send_signal(signal.SIGINT)
-    _, errors = process.communicate(timeout=60)
+    _, errors = process.communicate(timeout=PATIENCE)
     assert process.returncode == 130
     assert "interrupted; the same command continues" in errors
     assert states(wanted) == ["interrupted", "interrupted"]
     again = runner(project)
-    again.communicate(timeout=120)
+    again.communicate(timeout=PATIENCE)
     assert again.returncode == 0
     assert states(wanted) == ["complete", "complete"]
 
@@ -227,10 +230,10 @@ def test_two_runners_do_not_train_the_same_run_twice(project):
     first = runner(project)
     wait_until(lambda: states(wanted) == ["running", "running"], first)
     second = runner(project)
-    _, errors = second.communicate(timeout=60)
+    _, errors = second.communicate(timeout=PATIENCE)
     assert second.returncode == 1
     assert "is being trained by another process" in errors
-    first.communicate(timeout=120)
+    first.communicate(timeout=PATIENCE)
     assert states(wanted) == ["complete", "complete"]
     for run in wanted:
         assert json.loads((run.folder / "provenance.json").read_text())["resumes"] == 0
@@ -270,9 +273,8 @@ def test_cluster_runs_survive_ctrl_c_and_lost_workers(project, dask, small, monk
     process = runner(project, "--scheduler", address)
     wait_until(lambda: all(checkpoints.load(run.state_folder) for run in wanted), process)
     assert states(wanted) == ["running", "running"]
-    time.sleep(3)  # so that a few games are played
     process.send_signal(signal.SIGINT)
-    process.communicate(timeout=60)
+    process.communicate(timeout=PATIENCE)
     assert process.returncode == 130
     wait_until(lambda: all(map(lockable, wanted)))
     assert states(wanted) == ["missing", "missing"], "results come back when they are whole"
@@ -283,7 +285,7 @@ def test_cluster_runs_survive_ctrl_c_and_lost_workers(project, dask, small, monk
     wait_until(lambda: not any(map(lockable, wanted)), process)
     workers[0].terminate()  # as at the end of a walltime: it saves, and lets go
     workers[1].kill()
-    process.communicate(timeout=240)
+    process.communicate(timeout=PATIENCE)
     assert process.returncode == 0
     assert states(wanted) == ["complete", "complete"]
     for run, games in zip(wanted, saved, strict=True):

@@ -2,6 +2,7 @@
 
 import hashlib
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -256,6 +257,17 @@ def test_without_a_compiler_pytorch_learns_and_one_line_says_so(no_compiler, sma
     assert [learner.kind for learner in learners] == ["torch", "torch"]
     with pytest.raises(ParameterError, match=r"learner: 'native' is not allowed: no C\+\+"):
         new_learner(AGENTS["dqn"], 6, small(learner="native"), 1)
+
+
+def test_set_up_compiles_it_or_says_why_not(tmp_path):
+    command = [sys.executable, "-m", "atari_dqn.native"]
+    environment = {**os.environ, "XDG_CACHE_HOME": str(tmp_path)}
+    said = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+    assert said.stdout == "The native learner is ready.\n"
+    assert len(list((tmp_path / "atari_dqn" / "native").iterdir())) == 1
+    without = {**environment, "PATH": str(tmp_path), "CXX": ""}
+    said = subprocess.run(command, env=without, capture_output=True, text=True, check=True)
+    assert re.fullmatch(r"PyTorch learns.*: no C\+\+ compiler was found \(.*\)\n", said.stdout)
 
 
 def test_the_parameter_chooses_the_learner(small):

@@ -204,7 +204,7 @@ def test_the_page_opens_in_a_browser_without_console_errors(built, tmp_path):
         ],
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=1800,  # only what hangs takes so long
     )
     assert "</html>" in result.stdout
     assert "CONSOLE" not in result.stderr

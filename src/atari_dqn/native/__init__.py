@@ -1,7 +1,7 @@
 """The learner in C++: the same update as `agents.Learner`, about twice as fast on a CPU.
 
 `learner.cpp`, which says how, is compiled by the system's C++ compiler when it is first needed and
-kept in the user's cache. `python -m atari_dqn.native` does just that, and says how it went.
+kept in the user's cache. `python -m atari_dqn.native` does that beforehand, and says how it went.
 """
 
 import ctypes
@@ -131,8 +131,13 @@ def new_learner(
     except Unavailable as error:
         if params.learner == "native":
             raise ParameterError(f"learner: 'native' is not allowed: {error}") from None
-        _say_once(f"PyTorch learns, at about half the native learner's speed: {error}")
+        _say_once(torch_instead(error))
         return Learner(*given)
+
+
+def torch_instead(reason: Unavailable) -> str:
+    """What a user is told who gets the PyTorch learner for that reason."""
+    return f"PyTorch learns, at about half the native learner's speed: {reason}"
 
 
 @cache
