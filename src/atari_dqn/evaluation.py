@@ -86,8 +86,8 @@ def load_model(path: Path, params: Parameters) -> nn.Module:
 
 
 def player_of(network: nn.Module, params: Parameters) -> Player:
-    """What plays with the network of `params`' first agent: the learner that trains with them, so
-    that an evaluation gives the same games wherever it is repeated, as training does."""
+    """What plays with the network of `params`' first agent: the learner that would train with them
+    here, so that the native one's evaluations are the same games wherever they are repeated."""
     learner = new_learner(AGENTS[params.agents[0]], len(game_of(params).actions), params, seed=0)
     learner.set_weights(network.state_dict())
     return learner.q_values

@@ -7,6 +7,7 @@ kept in the user's cache. `python -m atari_dqn.native` does that beforehand, and
 import ctypes
 import hashlib
 import os
+import shlex
 import shutil
 import subprocess
 import tempfile
@@ -33,8 +34,9 @@ from atari_dqn.replay import Batch
 
 SOURCE = Path(__file__).with_name("learner.cpp")
 COMPILERS = ("c++", "g++", "clang++")
-# -ffp-contract=off: the compiler may not join operations, so that all of them give the same bits
-FLAGS = ("-std=c++20", "-O3", "-mavx2", "-mfma", "-ffp-contract=off", "-shared", "-fPIC")
+# No compiler may join or reorder float operations, so that all of them give the same bits
+EXACT = ("-ffp-contract=off", "-fno-fast-math")
+FLAGS = ("-std=c++20", "-O3", "-mavx2", "-mfma", *EXACT, "-shared", "-fPIC")
 
 
 class Unavailable(RuntimeError):
@@ -42,38 +44,58 @@ class Unavailable(RuntimeError):
 
 
 def cache_folder() -> Path:
-    """Where compiled libraries are kept."""
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "atari_dqn" / "native"
+    """Where compiled libraries are kept. Raises Unavailable."""
+    base = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+    if not os.path.isabs(base):
+        raise Unavailable("there is no home folder to keep it in; XDG_CACHE_HOME can name another")
+    return Path(base) / "atari_dqn" / "native"
 
 
 def compiled(flags: tuple[str, ...] = FLAGS, compiler: str | None = None) -> Path:
     """The library, compiled if this compiler has not yet compiled this source with these flags.
 
-    Processes that come at the same time each compile it; the last one's file stays, and is the
-    same. Raises Unavailable.
+    By default the compiler that CXX names, or the first of COMPILERS, that can do it. Processes
+    that come at the same time each compile it; the last one's file stays, and is the same. Raises
+    Unavailable.
     """
-    names = [compiler] if compiler else [os.environ.get("CXX"), *COMPILERS]
-    found = next((path for name in names if name and (path := shutil.which(name))), None)
-    if found is None:
-        raise Unavailable(f"no C++ compiler was found ({', '.join(filter(None, names))})")
+    names = [compiler] if compiler else list(filter(None, [os.environ.get("CXX"), *COMPILERS]))
+    failed: list[Unavailable] = []
+    for program, *options in map(shlex.split, names):
+        if (found := shutil.which(program)) is not None:
+            try:
+                return _compiled_by([found, *options], flags)
+            except Unavailable as error:
+                failed.append(error)
+    raise failed[0] if failed else Unavailable(f"no C++ compiler was found ({', '.join(names)})")
+
+
+def _compiled_by(compiler: list[str], flags: tuple[str, ...]) -> Path:
+    def call(*arguments: str | Path) -> str:
+        done = subprocess.run(
+            [*compiler, *arguments],
+            capture_output=True,
+            check=True,
+            text=True,
+            env={**os.environ, "LC_ALL": "C"},
+        )
+        return done.stdout
+
     try:
-        version = subprocess.run([found, "--version"], capture_output=True, check=True).stdout
-        key = hashlib.sha256(b"\0".join([SOURCE.read_bytes(), version, repr(flags).encode()]))
-        library = cache_folder() / f"learner-{key.hexdigest()[:16]}.so"
+        key = "\0".join([SOURCE.read_text(), call("--version"), *compiler, *flags])
+        digest = hashlib.sha256(key.encode()).hexdigest()
+        library = cache_folder() / f"learner-{digest[:16]}.so"
         if not library.exists():
             library.parent.mkdir(parents=True, exist_ok=True)
             with tempfile.TemporaryDirectory(dir=library.parent) as folder:
                 unfinished = Path(folder) / library.name
-                subprocess.run(
-                    [found, *flags, "-o", unfinished, SOURCE],
-                    capture_output=True,
-                    check=True,
-                    text=True,
-                )
+                call(*flags, "-o", unfinished, SOURCE)
+                with unfinished.open("rb") as file:
+                    os.fsync(file.fileno())  # no crash of the machine leaves a part of it
                 unfinished.replace(library)
     except subprocess.CalledProcessError as error:
-        line = next((line for line in str(error.stderr).splitlines() if "error" in line), "")
-        raise Unavailable(f"{found} cannot compile {SOURCE.name}: {line}") from None
+        lines = error.stderr.splitlines() or [f"exit status {error.returncode}"]
+        told = next((line for line in lines if "error" in line), lines[-1])
+        raise Unavailable(f"{compiler[0]} cannot compile {SOURCE.name}: {told}") from None
     except OSError as error:
         raise Unavailable(f"{error.filename}: {error.strerror}") from None
     return library
@@ -82,9 +104,9 @@ def compiled(flags: tuple[str, ...] = FLAGS, compiler: str | None = None) -> Pat
 @cache
 def load(library: Path | None = None) -> ctypes.CDLL:
     """The library with its functions' types; by default the one that `compiled` gives. Raises
-    Unavailable, also if this processor lacks AVX2."""
+    Unavailable, also if this processor lacks AVX2 or FMA."""
     try:
-        native = ctypes.CDLL(str(library or compiled()))
+        native = _opened(library) if library else _opened_or_compiled_anew()
     except OSError as error:
         raise Unavailable(f"the compiled learner cannot be loaded: {error}") from None
     native.processor_suffices.restype = ctypes.c_bool
@@ -110,6 +132,19 @@ def load(library: Path | None = None) -> ctypes.CDLL:
     return native
 
 
+def _opened(library: Path) -> ctypes.CDLL:
+    return ctypes.CDLL(str(library))
+
+
+def _opened_or_compiled_anew() -> ctypes.CDLL:
+    """A damaged file in the cache is replaced."""
+    try:
+        return _opened(compiled())
+    except OSError:
+        compiled().unlink(missing_ok=True)
+        return _opened(compiled())
+
+
 def new_learner(
     agent: Agent,
     actions: int,
@@ -120,11 +155,10 @@ def new_learner(
     """The learner that `params.learner` asks for; "auto" is the native one on a CPU if it can be
     had. Raises ParameterError if "native" is asked for in vain."""
     given = (agent, actions, params, seed, initial)
-    if params.learner == "torch" or torch_device(params.device).type != "cpu":
-        if params.learner == "native":
-            raise ParameterError(
-                f"learner: 'native' is not allowed: it needs the CPU; device is {params.device!r}"
-            )
+    if params.learner == "native" and params.device == "cuda":
+        raise ParameterError("learner: 'native' is not allowed: it needs the CPU; device is 'cuda'")
+    on_gpu = torch_device(params.device).type != "cpu"
+    if params.learner == "torch" or (params.learner == "auto" and on_gpu):
         return Learner(*given)
     try:
         return NativeLearner(*given)
@@ -214,7 +248,8 @@ class NativeLearner:
     def learn(self, batch: Batch) -> tuple[float, float]:
         """Makes one gradient step and updates the target network if that is due.
 
-        Returns the batch's mean loss and mean Q(s_tm1, a_tm1).
+        Returns the batch's mean loss and mean Q(s_tm1, a_tm1). Raises MemoryError, after which the
+        learner is of no use, and ValueError if the arrays do not fit each other or the network.
         """
         size = len(batch.a_tm1)
         arrays = (
@@ -224,10 +259,11 @@ class NativeLearner:
             np.ascontiguousarray(batch.discount_t, np.float32),
             self._bytes(batch.s_t, size),
         )
-        assert all(len(array) == size for array in arrays)
-        assert size > 0
-        assert 0 <= arrays[1].min() <= arrays[1].max() < self.actions
-        self.updates += 1
+        sizes, taken = {len(array) for array in arrays}, arrays[1]
+        if sizes != {size} or size == 0 or not 0 <= taken.min() <= taken.max() < self.actions:
+            raise ValueError(
+                f"no batch for {self.actions} actions: lengths {sizes}, a_tm1 {batch.a_tm1}"
+            )
         loss_and_q = np.empty(2)
         if not self._native.learner_update(
             self._learner,
@@ -236,10 +272,11 @@ class NativeLearner:
             self.params.freeze_convolutions,
             self.learning_rate,
             self.params.adam_epsilon,
-            self.updates,
+            self.updates + 1,
             loss_and_q.ctypes.data,
         ):
             raise MemoryError
+        self.updates += 1
         if self.updates % self.params.target_update_period == 0:
             self._native.learner_update_target(self._learner, self.params.tau)
         return float(loss_and_q[0]), float(loss_and_q[1])
@@ -252,7 +289,7 @@ class NativeLearner:
         return self._unpack(self._online)
 
     def set_weights(self, weights: dict[str, Tensor]) -> None:
-        """Replaces the online network's."""
+        """Replaces the online network's. Raises ValueError if they are another network's."""
         self._pack(weights, self._online)
         self._native.learner_transform(self._learner)
 
@@ -260,11 +297,10 @@ class NativeLearner:
         """Weights, Adam's moments and counters, as `agents.Learner.get_state` returns them."""
         first, second = self._unpack(self._first), self._unpack(self._second)
         moments: dict[str, Tensor] = {}
-        for name in first if self.updates else ():
-            if not (self.params.freeze_convolutions and name.startswith("convolutions")):
-                moments[f"{name}.step"] = torch.tensor(float(self.updates))
-                moments[f"{name}.exp_avg"] = first[name]
-                moments[f"{name}.exp_avg_sq"] = second[name]
+        for name in self._trained() if self.updates else ():
+            moments[f"{name}.step"] = torch.tensor(float(self.updates))
+            moments[f"{name}.exp_avg"] = first[name]
+            moments[f"{name}.exp_avg_sq"] = second[name]
         return {
             "online": self.weights(),
             "target": self._unpack(self._target),
@@ -273,7 +309,8 @@ class NativeLearner:
         }
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Restores what `get_state`, of either learner, returned."""
+        """Restores what `get_state`, of either learner, returned. Raises ValueError if that is
+        another network's."""
         self._pack(state["online"], self._online)
         self._pack(state["target"], self._target)
         self.updates = state["updates"]
@@ -285,11 +322,13 @@ class NativeLearner:
                 for name, value in state["moments"].items()
                 if name.endswith(suffix)
             }
-            self._pack(stored, flat)
+            self._pack(stored, flat, self._trained() if self.updates else [])
         self._native.learner_transform(self._learner)
 
     def _bytes(self, observations: np.ndarray, count: int) -> np.ndarray:
-        assert observations.shape == (count, 84, 84, self.params.frame_stack)
+        shape = (count, 84, 84, self.params.frame_stack)
+        if observations.shape != shape:
+            raise ValueError(f"observations {observations.shape}, not {shape}")
         return np.ascontiguousarray(observations, np.uint8)
 
     def _views(self, flat: np.ndarray) -> dict[str, np.ndarray]:
@@ -332,12 +371,24 @@ class NativeLearner:
             return (512, FEATURES)
         return (512,) if "hidden.bias" in name else view.shape
 
-    def _pack(self, weights: dict[str, Any], flat: np.ndarray) -> None:
-        for name, view in self._views(flat).items():
-            if name in weights:
-                value = np.asarray(weights[name], np.float32)
-                assert value.shape == self._shape(name, view), name
-                view[...] = value.reshape(view.shape)
+    def _trained(self) -> list[str]:
+        """The names of the weights that learn."""
+        frozen = "convolutions." if self.params.freeze_convolutions else None
+        names = self._views(self._online)
+        return [name for name in names if frozen is None or not name.startswith(frozen)]
+
+    def _pack(
+        self, weights: dict[str, Any], flat: np.ndarray, names: list[str] | None = None
+    ) -> None:
+        """Writes `weights`, which must be those of `names`, by default all, into a flat array."""
+        views = self._views(flat)
+        if (odd := weights.keys() ^ (views if names is None else names)) != set():
+            raise ValueError(f"the state of another network: {', '.join(sorted(odd))}")
+        for name, value in weights.items():
+            shape = self._shape(name, views[name])
+            if tuple(value.shape) != shape:
+                raise ValueError(f"{name} has shape {tuple(value.shape)}, not {shape}")
+            views[name][...] = np.asarray(value, np.float32).reshape(views[name].shape)
 
     def _unpack(self, flat: np.ndarray) -> dict[str, Tensor]:
         return {

@@ -8,14 +8,14 @@
 //      transforming back, which needs 2.3 to 3.1 times fewer multiplications than the convolution.
 //   2. The convolutions 8x8 with stride 4 and 4x4 with stride 2 are 2x2 with stride 1 on blocks of
 //      4x4 pixels and 2x2 positions ("space to depth"), so that the above serves all three.
-//   3. Features and hidden units that are zero in the whole batch are left out, exactly, and Adam
-//      updates the hidden layer while its gradient is still in the cache.
+//   3. Features that are zero in the whole batch are left out, exactly, and so are hidden units
+//      without a gradient; Adam updates the hidden layer while its gradient is in the cache.
 //
-// And one rule makes it exact: every float operation and its order is written down. Products are
-// explicit fused multiply-adds, the compiler may contract nothing (-ffp-contract=off), and no
-// function whose rounding is not specified is called. A value is a sum over k = 0, 1, 2, ... in
-// this order, however the loops are blocked. Hence the same bits from any compiler on any
-// processor with AVX2, and for an observation alone or within a batch.
+// And one rule makes it exact: every float operation and its order is written down. Multiply-adds
+// are fused where this file says so and nowhere else (-ffp-contract=off, -fno-fast-math), and no
+// function whose rounding is not specified is called. A product sums over k = 0, 1, 2, ... in this
+// order, however its loops are blocked. Hence the same bits from any compiler on any processor
+// with AVX2 and FMA, and for an observation alone or within a batch, while weights are finite.
 //
 // Letters: B batch, S frame stack, A actions, K input channels, N output channels, T tiles.
 
@@ -27,6 +27,10 @@
 #include <cstring>
 #include <initializer_list>
 #include <new>
+
+#ifdef __FAST_MATH__
+#error "needs exact floating-point arithmetic: -fno-fast-math"
+#endif
 
 #define INLINE static inline __attribute__((always_inline))
 
@@ -42,8 +46,10 @@ INLINE Lanes zero() { return {_mm256_setzero_ps(), _mm256_setzero_ps()}; }
 INLINE Lanes splat(float a) { return {_mm256_set1_ps(a), _mm256_set1_ps(a)}; }
 INLINE Lanes load(const float* p) { return {_mm256_loadu_ps(p), _mm256_loadu_ps(p + 8)}; }
 INLINE Lanes load(const uint8_t* p) {
-  return {_mm256_cvtepi32_ps(_mm256_cvtepu8_epi32(_mm_loadl_epi64((const __m128i*)p))),
-          _mm256_cvtepi32_ps(_mm256_cvtepu8_epi32(_mm_loadl_epi64((const __m128i*)(p + 8))))};
+  const auto eight = [](const uint8_t* q) {
+    return _mm256_cvtepi32_ps(_mm256_cvtepu8_epi32(_mm_loadl_epi64((const __m128i*)q)));
+  };
+  return {eight(p), eight(p + 8)};
 }
 INLINE void store(float* p, Lanes a) { _mm256_storeu_ps(p, a.x), _mm256_storeu_ps(p + 8, a.y); }
 #define BY_ELEMENT(name, f)                                                              \
@@ -237,7 +243,7 @@ INLINE void times(Lanes* out, int stride, const Lanes* in) {  // out = M in
   }
 }
 
-// Y[R][R] = M X[C][C] M', on 16 channels at once; load(i, j) gives X, store(i, j, y) takes Y.
+// Y[R][R] = M X[C][C] M', on 16 channels at once; load_x(i, j) gives X, store_y(i, j, y) takes Y.
 template <const auto& M, int R, int C, class Load, class Store>
 INLINE void both_sides(Load load_x, Store store_y) {
   Lanes half[R * C];
@@ -453,8 +459,8 @@ template <int m, int r, int IN, int OUT, int N, int GROUP> struct Convolution {
 
   // A gradient that is a sum of zeros only, such as that of a weight that meets nothing but black
   // pixels wherever its filter is active, must be zero: the transforms leave a rounding error
-  // there, of which Adam's small epsilon would make a step. `Touched` finds these weights (a bit
-  // each) and positions of the input.
+  // there, of which Adam makes a step if its epsilon is small. `Touched` finds these weights (a
+  // bit each) and positions of the input.
   struct Touched {
     static constexpr int MOST = r * r * 8;  // K <= 128
     int words;                              // of 16 channels a position
@@ -471,8 +477,8 @@ template <int m, int r, int IN, int OUT, int N, int GROUP> struct Convolution {
             input[(y * IN + x) * words + k] = nonzero(load(at(b, y, x, k * LANES)));
       for (int y = 0; y < OUT; y++)
         for (int x = 0; x < OUT; x++)
-          for (uint64_t active = filters(dY + (y * OUT + x) * N) & open; active; active &= active - 1) {
-            uint16_t* own = seen[__builtin_ctzll(active)];
+          for (uint64_t left = filters(dY + (y * OUT + x) * N) & open; left; left &= left - 1) {
+            uint16_t* own = seen[__builtin_ctzll(left)];
             for (int i = 0; i < r; i++)
               for (int w = 0; w < r * words; w++)
                 own[i * r * words + w] |= input[((y + i) * IN + x) * words + w];
@@ -581,7 +587,8 @@ struct Observations {
     const int all = B * Conv1::TILES;
     int slots = 64;
     while (slots < 2 * all) slots *= 2;
-    table.want(slots), firsts.want(all), lasts.want(all), nexts.want(all), distinct_hashes.want(all);
+    table.want(slots), distinct_hashes.want(all);
+    firsts.want(all), lasts.want(all), nexts.want(all);
     for (int i = 0; i < slots; i++) table.data[i] = -1;
     count = 0;
     for (int tile = 0; tile < all; tile++) {
@@ -623,12 +630,16 @@ struct Shape {
 
 // All weights in one array, and likewise their moments and gradients. `hidden` is in panels
 // [units/16][FEATURES][16]; rows of the outputs are [UNITS].
-enum { CONV1, BIAS1, CONV2, BIAS2, CONV3, BIAS3, HIDDEN, HIDDEN_BIAS, OUTPUT, OUTPUT_BIAS, VALUE, VALUE_BIAS, PARTS };
+enum {
+  CONV1, BIAS1, CONV2, BIAS2, CONV3, BIAS3,
+  HIDDEN, HIDDEN_BIAS, OUTPUT, OUTPUT_BIAS, VALUE, VALUE_BIAS, PARTS
+};
 struct Layout {
   long part[PARTS], start[PARTS + 1];
   explicit Layout(const Shape& s)
-      : part{4L * s.K1() * 32, 32, 4L * K2 * 64, 64, 9L * K3 * 64, 64, (long)FEATURES * s.hidden(), s.hidden(),
-             (long)s.actions * UNITS, s.outputs(), s.dueling ? UNITS : 0, s.dueling ? LANES : 0} {
+      : part{4L * s.K1() * 32, 32, 4L * K2 * 64, 64, 9L * K3 * 64, 64,
+             (long)FEATURES * s.hidden(), s.hidden(), (long)s.actions * UNITS, s.outputs(),
+             s.dueling ? UNITS : 0, s.dueling ? LANES : 0} {
     start[0] = 0;
     for (int i = 0; i < PARTS; i++) start[i + 1] = start[i] + part[i];
   }
@@ -637,18 +648,20 @@ struct Layout {
 struct Network {
   Shape shape;
   Layout layout;
-  Buffer<float> memory, transformed;
+  Buffer<float> memory, transformed, turned;
   float *weights, *U1, *U2, *U3, *UT2, *UT3, *outputs, *value;  // outputs: panels [UNITS][16]
 
   explicit Network(const Shape& s) : shape(s), layout(s) {
-    const long sizes[] = {(long)Conv1::P * s.K1() * 32, (long)Conv2::P * K2 * 64, (long)Conv3::P * K3 * 64,
-                          (long)Conv2::P * K2 * 64, (long)Conv3::P * K3 * 64, (long)s.outputs() * UNITS, UNITS * LANES};
+    const long size1 = Conv1::P * s.K1() * 32, size2 = Conv2::P * K2 * 64,
+               size3 = Conv3::P * K3 * 64;
+    const long sizes[] = {size1, size2, size3, size2, size3, s.outputs() * UNITS, UNITS * LANES};
     float** to[] = {&U1, &U2, &U3, &UT2, &UT3, &outputs, &value};
     long total = 0;
     for (long size : sizes) total += size;
     float* next = transformed.want(total);
     for (int i = 0; i < 7; i++) *to[i] = next, next += sizes[i];
     weights = memory.want(layout.start[PARTS]);
+    turned.want(9 * K3 * 64);
     std::memset(weights, 0, layout.start[PARTS] * sizeof(float));
     std::memset(transformed.data, 0, total * sizeof(float));
   }
@@ -660,12 +673,10 @@ struct Network {
     Conv2::transform_weights(part(CONV2), K2, 1, U2);
     Conv3::transform_weights(part(CONV3), K3, 1, U3);
     if (gradients) {
-      static thread_local Buffer<float> turned;
-      float* W = turned.want(9L * K2 * 64);
-      transpose(part(CONV2), 4, K2, 64, W);
-      transform_turned<Conv2>(W, K2, UT2);
-      transpose(part(CONV3), 9, K3, 64, W);
-      transform_turned<Conv3>(W, K3, UT3);
+      transpose(part(CONV2), 4, K2, 64, turned.data);
+      Conv2::transform_weights(turned.data, 64, 1, UT2, K2);
+      transpose(part(CONV3), 9, K3, 64, turned.data);
+      Conv3::transform_weights(turned.data, 64, 1, UT3, K3);
     }
     for (int a = 0; a < shape.actions; a++)
       for (int k = 0; k < UNITS; k++)
@@ -681,13 +692,10 @@ struct Network {
           for (int k = k0; k < k0 + LANES; k++)
             to[((long)tap * N + o) * K + k] = W[((long)tap * K + k) * N + o];
   }
-  template <class C> static void transform_turned(const float* W, int K, float* UT) {
-    C::transform_weights(W, 64, 1, UT, K);
-  }
 };
 
-// What a forward pass leaves for the backward pass. Features and hidden units that are zero in the
-// whole batch are left out of the products (0 w + c = c); the others are listed.
+// What a forward pass leaves for the backward pass. Features that are zero in the whole batch are
+// left out of the products (0 w + c = c while w is finite); the others are listed.
 struct Pass {
   Buffer<float> V1, V2, V3, Y1, Y2, f, h, q, packed;
   int active[FEATURES], count;  // features
@@ -801,10 +809,10 @@ struct Learner {
     }
   }
 
-  int best(const float* q) const {  // the first of the greatest
+  int best(const float* q) const {  // the first of the greatest, or the first NaN
     int found = 0;
-    for (int a = 1; a < shape.actions; a++)
-      if (q[a] > q[found]) found = a;
+    for (int a = 1; a < shape.actions && q[found] == q[found]; a++)
+      if (!(q[a] <= q[found])) found = a;
     return found;
   }
 
@@ -830,7 +838,8 @@ struct Learner {
 
   // One update. loss_and_q takes the batch's mean loss and mean Q(s_tm1, a_tm1).
   void update(const uint8_t* s_tm1, const int64_t* a_tm1, const float* r_t, const float* discount_t,
-              const uint8_t* s_t, int B, bool frozen, double rate, double epsilon, long t, double* loss_and_q) {
+              const uint8_t* s_t, int B, bool frozen, double rate, double epsilon, long t,
+              double* loss_and_q) {
     const int O = shape.outputs(), A = shape.actions;
     obs_t.read(s_t, B, shape.stack);
     if (double_q) forward(obs_t, B, false, online, on_t, &target, &target_t);
@@ -845,14 +854,15 @@ struct Learner {
     d_value.want(B);
     loss_and_q[0] = loss_and_q[1] = 0;
     for (int b = 0; b < B; b++) {
-      const float target = r_t[b] + discount_t[b] * q_t[b * O + best(selector_t + b * O)];
-      const float q = pass.q.data[b * O + a_tm1[b]], error = q - target;
+      const float value_t = q_t[b * O + best(selector_t + b * O)];
+      const float wanted = r_t[b] + discount_t[b] * value_t;
+      const float q = pass.q.data[b * O + a_tm1[b]], error = q - wanted;
       loss_and_q[0] += (double)error * error / B;
       loss_and_q[1] += (double)q / B;
-      const float gradient = 2 * error / B;
-      dq.data[b * O + a_tm1[b]] = d_value.data[b] = gradient;
+      const float slope = 2 * error / B;
+      dq.data[b * O + a_tm1[b]] = d_value.data[b] = slope;
       if (shape.dueling)  // the mean of the advantages is subtracted
-        for (int a = 0; a < A; a++) dq.data[b * O + a] -= gradient / A;
+        for (int a = 0; a < A; a++) dq.data[b * O + a] -= slope / A;
     }
 
     const Layout& at = online.layout;
@@ -1006,7 +1016,9 @@ struct Learner {
 
 extern "C" {
 
-bool processor_suffices() { return __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma"); }
+bool processor_suffices() {
+  return __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma");
+}
 
 Learner* learner_new(int stack, int actions, int dueling, int double_q) {
   try {
@@ -1034,7 +1046,7 @@ void learner_transform(Learner* learner) {
   learner->target.transform(false);
 }
 
-// Bytes [B][84][84][S] to q[B][A]; false if there is no memory, as below
+// Bytes [B][84][84][S] to q[B][A]; false if there is no memory
 bool learner_q_values(Learner* learner, const uint8_t* states, int B, float* q) {
   FlushDenormals flush;
   try {
@@ -1049,6 +1061,7 @@ bool learner_q_values(Learner* learner, const uint8_t* states, int B, float* q) 
   }
 }
 
+// False if there is no memory: the learner may then have made half of an update
 bool learner_update(Learner* learner, const uint8_t* s_tm1, const int64_t* a_tm1, const float* r_t,
                     const float* discount_t, const uint8_t* s_t, int B, bool frozen, double rate,
                     double epsilon, long t, double* loss_and_q) {
