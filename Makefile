@@ -14,7 +14,7 @@ RESULTS_OPTION := $(if $(RESULTS),--results $(RESULTS))
 PARAMS_FILE = params/$(if $(filter-out full,$(PROFILE)),$(PROFILE)/)$(EXPERIMENT).yaml
 
 .DEFAULT_GOAL := help
-.PHONY: help report lab test check format train experiments status bench lock clean
+.PHONY: help report lab test check format train experiments status verify bench lock clean
 
 help: ## list what can be made
 	@sed -n 's/^\([a-z]*\):[^#]*## \(.*\)/  make \1|\2/p' $(MAKEFILE_LIST) | awk -F'|' '{printf "%-19s %s\n", $$1, $$2}'
@@ -52,6 +52,9 @@ experiments: $(READY) ## train every run that is missing or interrupted (hours t
 
 status: $(READY) ## show every run of every experiment
 	$(RUN) atari_dqn experiments status --profile $(PROFILE) $(RESULTS_OPTION)
+
+verify: $(READY) ## play games of every stored run again and compare them with its tables
+	$(RUN) atari_dqn verify $(wildcard $(or $(RESULTS),results)/runs/*/*/seed-*)
 
 # loadfile: what the tests of a file share is made once
 test: $(READY) ## run the tests

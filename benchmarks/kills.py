@@ -46,7 +46,7 @@ from pathlib import Path
 from atari_dqn import recording, runs
 from atari_dqn.params import Parameters
 recording.CHECKPOINT_SECONDS = 0.05
-recording.VALUES_PERIOD = 20
+evaluation.VALUES_PERIOD = 20
 print("ready", flush=True)
 parameters = Parameters.model_validate_json(sys.argv[1])
 recording.train(runs.Run(parameters, Path(sys.argv[2])))

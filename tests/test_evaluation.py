@@ -4,7 +4,16 @@ import pytest
 
 from atari_dqn import evaluation, recording
 from atari_dqn.agents import AGENTS
-from atari_dqn.evaluation import check_values, discounted, held_out_states, play, player_of
+from atari_dqn.envs import AtariGame, game_of
+from atari_dqn.evaluation import (
+    PLAYED_COLUMNS,
+    check_values,
+    discounted,
+    held_out_states,
+    play,
+    player_of,
+)
+from atari_dqn.exploration import epsilon_greedy
 from atari_dqn.runs import Run
 
 
@@ -52,6 +61,99 @@ def test_realised_values_are_the_discounted_clipped_returns_of_the_games_played(
     assert len(set(np.round(returns, 6))) > 5, "the test would not see a reward"
     assert check.score == pytest.approx(np.mean(scores))
     assert [game.score for game in games] == scores
+
+
+def test_predicted_values_are_those_of_the_states_met_and_not_of_the_held_out_ones(
+    small, monkeypatch
+):
+    monkeypatch.setattr(evaluation, "VALUE_GAMES", 1)
+    met = []
+
+    def player(observations):
+        met.append(observations[0])  # the rest is padding
+        brightness = observations.mean(axis=(1, 2, 3))
+        return np.outer(brightness, np.linspace(-1, 2, 18)).astype(np.float32)
+
+    held_out = np.full((3, 84, 84, 4), 7, np.uint8)
+    check, _ = check_values(player, small(max_game_frames=400), held_out, episode=1, seed=1)
+    states = [state for state in met if (state != 7).any()]
+    assert len(states) == len(met) - 1 > 50
+    assert check.held_out_q == pytest.approx(2 * 7)
+    assert check.predicted == pytest.approx(2 * np.mean(states), rel=1e-5)
+    assert check.predicted > 20 > check.held_out_q
+
+
+def test_values_are_checked_with_the_exploration_of_an_evaluation(small, monkeypatch):
+    monkeypatch.setattr(evaluation, "VALUE_GAMES", 1)
+    chances = set()
+
+    def choose(q_values, probability, rng):
+        chances.add(probability)
+        return epsilon_greedy(q_values, probability, rng)
+
+    monkeypatch.setattr(evaluation, "epsilon_greedy", choose)
+    held_out = np.zeros((1, 84, 84, 4), np.uint8)
+    check_values(constant(18, 0, 1.0), small(evaluation_epsilon=0.25), held_out, 1, seed=1)
+    assert chances == {0.25}
+
+
+def test_rewards_of_evaluation_games_are_less_for_a_lost_life_too(small):
+    parameters = small(game="breakout", life_loss_penalty=0.75, max_game_frames=1000)
+    table = evaluation.Table(parameters)
+    table.start(0, seed=1)
+    while table.emulator.lives == 5:
+        table.step(0)
+    assert table.rewards[-1] == -0.75
+
+
+def test_a_player_sees_the_last_images_the_oldest_first_and_none_of_the_game_before(
+    small, monkeypatch
+):
+    monkeypatch.setattr(evaluation, "EMULATORS", 1)
+    parameters, seen = small(evaluation_epsilon=1.0), []
+
+    def player(observations):
+        seen.append(observations[0])
+        return np.zeros((len(observations), 18), np.float32)
+
+    wanted = []
+    for game in play(player, parameters, 2, seed=1):
+        emulator, actions = game_of(parameters), game.record.actions
+        first, _ = emulator.reset(options={"record": game.record})
+        images = [first] * 4 + [emulator.step(action)[0] for action in actions]
+        wanted += [np.stack(images[at : at + 4], axis=-1) for at in range(len(actions))]
+    np.testing.assert_array_equal(seen, wanted)
+
+
+def test_evaluation_is_played_on_an_emulator_of_the_difficulty_and_stickiness_named(small):
+    """The same random actions lead elsewhere on each."""
+    distances, chosen = set(), set()
+    for changes in ({}, {"difficulty": 1}, {"difficulty": 2}, {"sticky_actions": 0.5}):
+        parameters = small(**changes, evaluation_epsilon=1.0)
+        (game,) = play(constant(18, best=0, value=1.0), parameters, 1, seed=1)
+        distances.add(game.distance)
+        chosen.add(game.record.actions)
+    assert len(distances) == 4
+    assert len(chosen) == 1
+
+
+@pytest.mark.parametrize(("game", "enough"), [("boxing", 1), ("breakout", 864)])
+def test_a_game_is_described_by_what_its_emulator_says_at_its_end(small, monkeypatch, game, enough):
+    monkeypatch.setattr(AtariGame, "knockout", lambda self: -1)
+    monkeypatch.setattr(AtariGame, "points", lambda self: (8.0, 9.0))
+    settings = {"difficulty": 1, "sticky_actions": 0.5, "evaluation_epsilon": 0.25}
+    table = evaluation.Table(small(game=game, **settings))
+    table.start(5, seed=6)
+    table.emulator.length, table.emulator.frames, table.distances = 11, 12, [1.0, 2.0]
+    for score, won in ((enough - 1, False), (enough, True)):
+        table.emulator.score = float(score)
+        assert table.result(seed=6).row() == dict(
+            zip(
+                PLAYED_COLUMNS,
+                (5, score, 11, 12, won, -1, 1, 0.5, 0.25, 6, 8.0, 9.0, 1.5),
+                strict=True,
+            )
+        )
 
 
 def test_held_out_states_are_the_same_for_all_runs_and_not_alike(small):

@@ -1,17 +1,18 @@
 """Games on record: played again they are the same games, and a table that lies is found out."""
 
-import json
-import subprocess
+import shutil
 import sys
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
-import zstandard
+from conftest import SMALL
 
-from atari_dqn import audit, evaluation, recording, records, runs
+from atari_dqn import __main__, evaluation, recording, records, runs
 from atari_dqn.audit import Difference, verify
 from atari_dqn.envs import AtariGame, GameRecord, game_of
+from atari_dqn.params import Parameters
 from atari_dqn.records import RecordError
 from atari_dqn.runs import Run
 
@@ -60,72 +61,84 @@ def test_a_game_goes_on_its_record_through_a_stop(small):
 
 RNG = np.random.default_rng(3).bit_generator.state
 SOME = [
-    ("training", {"episode": 1}, GameRecord(5, bytes([0, 17, 3]), None)),
-    ("training", {"episode": 2}, GameRecord(30, bytes(range(18)) * 9, RNG)),
-    ("values", {"episode": 2, "game": 40}, GameRecord(1, b"", None)),
+    ({"kind": "training", "episode": 1}, GameRecord(5, bytes([0, 17, 3]), None)),
+    ({"kind": "training", "episode": 2}, GameRecord(30, bytes(range(18)) * 9, RNG)),
+    ({"kind": "values", "episode": 2, "game": 40}, GameRecord(1, b"", None)),
 ]
+HERE = Path("here")
+
+
+def evaluated(game, difficulty=0):
+    settings = {"difficulty": difficulty, "sticky_actions": 0.0, "epsilon": 0.001, "seed": 1}
+    return {"kind": "evaluation", "trained_games": 2, **settings, "game": game}
 
 
 def test_what_is_written_reads_back_and_is_plain_json_lines(tmp_path):
-    data = b"".join(records.encode(*game) for game in SOME)
-    expected = [({"kind": kind, **heading}, record) for kind, heading, record in SOME]
-    assert list(records.read(data, "here")) == expected
+    data = records.encode(SOME[:1]) + records.encode(SOME[1:])
+    assert list(records.read(data, HERE)) == SOME
     path = tmp_path / records.FILE
     path.write_bytes(data)
     table = pd.read_json(path, lines=True, compression="zstd")  # as anyone may read it
     assert table.actions[0] == "ARD"
     assert table.idle_frames.tolist() == [5, 30, 1]
-    assert list(records.read(b"", "here")) == []
+    assert list(records.read(b"", HERE)) == []
 
 
 @pytest.mark.parametrize("place", [9, 60, -3])
 def test_damage_is_noticed_and_named(place):
-    data = bytearray(b"".join(records.encode(*game) for game in SOME))
+    whole = b"".join(records.encode([game]) for game in SOME)
+    data = bytearray(whole)
     data[place] ^= 1
     with pytest.raises(RecordError, match="here is damaged after"):
-        list(records.read(bytes(data), "here"))
+        list(records.read(bytes(data), HERE))
     with pytest.raises(RecordError, match="here is damaged after 2 games"):
-        list(records.read(bytes(b"".join(records.encode(*game) for game in SOME)[:-4]), "here"))
+        list(records.read(whole[:-4], HERE))
 
 
-def test_other_games_of_the_same_heading_take_the_place_of_the_old_ones():
-    data = b"".join(records.encode(*game) for game in SOME)
-    new = GameRecord(2, bytes([4]), None)
-    data = records.replaced(data, "values", [({"episode": 2, "game": 40}, new)])
-    data = records.replaced(data, "evaluation", [({"game": 0}, new)])
-    kept = [({"kind": kind, **heading}, record) for kind, heading, record in SOME[:2]]
-    assert list(records.read(data, "here")) == [
-        *kept,
-        ({"kind": "values", "episode": 2, "game": 40}, new),
-        ({"kind": "evaluation", "game": 0}, new),
+@pytest.mark.parametrize(
+    "heading", [{"kind": "training"}, {"kind": "match", "episode": 1}, {"episode": 1}]
+)
+def test_a_game_of_no_kind_is_damage(heading):
+    with pytest.raises(RecordError, match="here is damaged after 0 games"):
+        list(records.read(records.encode([(heading, SOME[0][1])]), HERE))
+
+
+def test_evaluations_come_last_and_take_the_place_of_the_same_games():
+    old, new = GameRecord(2, bytes([4]), None), GameRecord(3, bytes([5]), None)
+    before = [(evaluated(10), old), (evaluated(1), old), *SOME]
+    data = records.with_evaluations(before, [(evaluated(1), new), (evaluated(0, 3), new)])
+    assert list(records.read(data, HERE)) == [
+        *SOME,
+        *((evaluated(1), new), (evaluated(10), old), (evaluated(0, 3), new)),
     ]
+
+
+SHORT = {"VALUES_PERIOD": 2, "VALUE_GAMES": 3, "HELD_OUT_STATES": 8}  # of the check of values
+
+
+@pytest.fixture(autouse=True)
+def short(monkeypatch):
+    for name, value in SHORT.items():
+        monkeypatch.setattr(evaluation, name, value)
 
 
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory):
     """A run with sticky actions, two checks of values and two conditions of evaluation."""
-    from conftest import SMALL
-
-    from atari_dqn.params import Parameters
-
     folder = tmp_path_factory.mktemp("recorded")
-    patch = pytest.MonkeyPatch()
-    patch.setenv("ATARI_DQN_STATE", str(folder / "state"))
-    patch.setattr(recording, "VALUES_PERIOD", 2)
-    patch.setattr(evaluation, "VALUE_GAMES", 3)
-    patch.setattr(audit, "VALUE_GAMES", 3)
     more = {"episodes": 5, "sticky_actions": 0.25, "evaluation_difficulties": [0, 3]}
     run = Run(Parameters(**{**SMALL, **more, "max_game_frames": 600}), folder)
-    recording.train(run)
-    yield run
-    patch.undo()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("ATARI_DQN_STATE", str(folder / "state"))
+        for name, value in SHORT.items():
+            patch.setattr(evaluation, name, value)
+        recording.train(run)
+    return run
 
 
 @pytest.fixture
 def run(trained, tmp_path):
     """A copy of it that may be changed."""
-    import shutil
-
     shutil.copytree(trained.folder, tmp_path / "seed-1")
     return tmp_path / "seed-1"
 
@@ -135,7 +148,7 @@ def test_a_run_agrees_with_its_records(run):
     assert sum(name.startswith("training") for name in named) == 5
     assert sum(name.startswith("evaluation") for name in named) == 4
     assert [name for name in named if "greedy" in name] == [
-        *("3 greedy games after game 2", "3 greedy games after game 4")
+        *("the 3 greedy games after game 2", "the 3 greedy games after game 4")
     ]
     assert len(list(verify(run, 3))) == 3
     headings = [heading for heading, _ in records.read_file(run)]
@@ -179,12 +192,35 @@ def test_evaluations_stay_on_record_when_a_run_goes_on(tmp_path, small):
 @pytest.mark.parametrize(
     ("file", "row", "column", "said"),
     [
-        ("episodes.csv", 3, "score", r"training game \(episode 4\): score is .* in episodes.csv"),
-        ("episodes.csv", 0, "length", r"training game \(episode 1\): length is .* in episodes.csv"),
-        ("episodes.csv", 2, "frames", r"training game \(episode 3\): frames is .* in episodes.csv"),
-        ("evaluations.csv", 1, "score", r"evaluation game .*game 1\): score is .* evaluations.csv"),
+        (
+            "episodes.csv",
+            3,
+            "score",
+            r"training game \(episode 4\): score is .* in .*/episodes.csv",
+        ),
+        (
+            "episodes.csv",
+            0,
+            "length",
+            r"training game \(episode 1\): length is .* in .*/episodes.csv",
+        ),
+        (
+            "episodes.csv",
+            2,
+            "frames",
+            r"training game \(episode 3\): frames is .* in .*/episodes.csv",
+        ),
+        ("evaluations.csv", 1, "score", r"evaluation game .*game 1\): score is .*/evaluations.csv"),
         ("evaluations.csv", 3, "frames", r"evaluation game .*difficulty 3.*: frames is"),
-        ("values.csv", 1, "score", r"the greedy games after game 4: score is .* in values.csv"),
+        ("evaluations.csv", 0, "conceded", r"evaluation game .*game 0\): conceded is"),
+        ("evaluations.csv", 2, "distance", r"evaluation game .*difficulty 3.*: distance is"),
+        ("values.csv", 1, "score", r"the 3 greedy games after game 4: score is .* in .*values.csv"),
+        (
+            "values.csv",
+            0,
+            "realised",
+            r"the 3 greedy games after game 2: realised is .*/values.csv",
+        ),
     ],
 )
 def test_one_point_more_in_a_table_is_found(run, file, row, column, said):
@@ -195,24 +231,178 @@ def test_one_point_more_in_a_table_is_found(run, file, row, column, said):
         list(verify(run, None))
 
 
-def test_a_missing_or_invented_game_is_found(run):
-    episodes = pd.read_csv(run / "episodes.csv")
-    episodes.iloc[:-1].to_csv(run / "episodes.csv", index=False)
-    with pytest.raises(Difference, match=r"\('training', 5\) is on record, but in no table"):
+def rewrite(run, file, change):
+    table = pd.read_csv(run / file)
+    change(table).to_csv(run / file, index=False)
+
+
+def without(run, wanted):
+    """Takes games off the record."""
+    kept = [game for game in records.read_file(run) if not wanted(game[0])]
+    (run / records.FILE).write_bytes(records.encode(kept))
+
+
+def last_two(run, table, column, value):
+    """A second row of the last game, with another number, before the true one."""
+    return pd.concat([table[:-1], table[-1:].assign(**{column: value}), table[-1:]])
+
+
+LACKING = {
+    "a row of training": (
+        lambda run: rewrite(run, "episodes.csv", lambda table: table[:-1]),
+        r"episodes.csv has 4 games, and status.json says 5",
+    ),
+    "a game of training": (
+        lambda run: without(run, lambda heading: heading.get("episode") == 3),
+        r"games.jsonl.zst has 0 games, not 1, of training game \(episode 3\) in episodes.csv",
+    ),
+    "a row in the middle": (
+        lambda run: rewrite(run, "episodes.csv", lambda table: table.replace({"episode": 3}, 6)),
+        r"episodes.csv has no row of training game \(episode 3\)",
+    ),
+    "a check of values": (
+        lambda run: rewrite(run, "values.csv", lambda table: table[:1]),
+        r"values.csv has no row of values game \(episode 4\)",
+    ),
+    "a game behind a check of values": (
+        lambda run: without(run, lambda heading: heading.get("game") == 7),
+        r"has 2 games, not 3, of values game \(episode 2\) in values.csv",
+    ),
+    "a row of the evaluation": (
+        lambda run: rewrite(run, "evaluations.csv", lambda table: table[1:]),
+        r"evaluations.csv has no row of evaluation game \(trained_games 5.*game 0\)",
+    ),
+    "the evaluation": (
+        lambda run: (run / "evaluations.csv").unlink(),
+        r"evaluations.csv has no row of evaluation game",
+    ),
+    "everything": (
+        lambda run: (
+            [rewrite(run, name, lambda table: table[:0]) for name in ("episodes.csv", "values.csv")]
+            and (run / records.FILE).write_bytes(b"")
+        ),
+        r"episodes.csv has 0 games, and status.json says 5",
+    ),
+    "one row's uniqueness": (
+        lambda run: rewrite(run, "episodes.csv", lambda t: last_two(run, t, "score", 99)),
+        r"episodes.csv has 6 games, and status.json says 5",
+    ),
+    "an evaluation's uniqueness": (
+        lambda run: rewrite(run, "evaluations.csv", lambda t: last_two(run, t, "score", 99)),
+        r"evaluations.csv has 2 rows of evaluation game .*difficulty 3.*game 1\)",
+    ),
+    "the parameters it was trained with": (
+        lambda run: (run / "params.yaml").write_text(
+            (run / "params.yaml").read_text().replace("gamma: 0.99", "gamma: 0.98")
+        ),
+        r"params.yaml is not what provenance.json says of the run",
+    ),
+    "a row of an evaluation that was broken off": (
+        lambda run: (run / records.FILE).write_bytes(
+            records.with_evaluations(records.read_file(run), [(evaluated(0), SOME[0][1])])
+        ),
+        r"evaluation game \(trained_games 2.*is on record, but not in .*; `evaluate` with the same",
+    ),
+}
+
+
+@pytest.mark.parametrize("what", LACKING)
+def test_a_complete_run_that_lacks_something_is_found(run, what):
+    """However few of its games are played again."""
+    spoil, said = LACKING[what]
+    spoil(run)
+    with pytest.raises(Difference, match=said):
         list(verify(run, 1))
-    episodes.to_csv(run / "episodes.csv", index=False)
-    whole = (run / records.FILE).read_bytes()
-    kept = [
-        records.encode(heading.pop("kind"), heading, record)
-        for heading, record in records.read(whole, "here")
-        if heading.get("episode") != 3
-    ]
-    (run / records.FILE).write_bytes(b"".join(kept))
-    with pytest.raises(Difference, match=r"\('training', 3\) is in a table, but not on record"):
+
+
+DAMAGED = {
+    "no number": (
+        *("episodes.csv", lambda text: text.replace("\n1,", "\n1x,")),
+        r"episodes\.csv, line 2: episode: '1x' is not a number",
+    ),
+    "a conflict": (
+        "episodes.csv",
+        lambda text: "<<<<<<< HEAD\n" + text,
+        r"has no column 'episode'",
+    ),
+    "nothing": ("values.csv", lambda text: "", r"values\.csv is damaged: its last line is cut"),
+    "half a line": ("evaluations.csv", lambda text: text[:-5], r"evaluations\.csv is damaged: its"),
+    "no status": ("status.json", lambda text: text[:-5], r"status\.json is damaged"),
+}
+
+
+@pytest.mark.parametrize("what", DAMAGED)
+def test_a_damaged_table_is_named(run, what):
+    file, spoil, said = DAMAGED[what]
+    (run / file).write_text(spoil((run / file).read_text()))
+    with pytest.raises(RecordError, match=said):
         list(verify(run, 1))
-    (run / records.FILE).unlink()
-    with pytest.raises(RecordError, match=r"games\.jsonl\.zst: No such file"):
+
+
+def test_records_that_lack_their_chance_are_refused(small):
+    for sticky, rng in ((0.25, None), (0.0, RNG)):
+        with pytest.raises(RecordError, match=f"sticky_actions is {sticky}"):
+            list(records.replay(small(sticky_actions=sticky), GameRecord(1, b"", rng)))
+
+
+def test_an_evaluation_is_not_played_for_a_damaged_file(run, monkeypatch):
+    data = (run / records.FILE).read_bytes()
+    (run / records.FILE).write_bytes(data[:-5])
+    monkeypatch.setattr(evaluation, "play", None)
+    with pytest.raises(RecordError, match=rf"{run}/games.jsonl.zst is damaged after"):
+        runs.evaluate(run, {"difficulty": 1}, games=1)
+
+
+class Killed(BaseException):
+    pass
+
+
+@pytest.mark.parametrize(
+    ("call", "method"),
+    [(1, "_append"), (3, "_append"), (4, "_append"), (3, "_record"), (5, "_append"), (2, "save")],
+)
+def test_a_run_killed_between_two_writes_verifies_before_and_after_it_goes_on(
+    tmp_path, small, monkeypatch, call, method
+):
+    """In the second game too, after which values are checked, or as its checkpoint is due."""
+    run, calls = Run(small(episodes=2, max_game_frames=200, evaluation_games=1), tmp_path), []
+    write = getattr(recording.Recorder, method)
+
+    def killed(self, *arguments):
+        calls.append(arguments)
+        if len(calls) == call:
+            raise Killed
+        return write(self, *arguments)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(recording.Recorder, method, killed)
+        with pytest.raises(Killed):
+            recording.train(run)
+    assert len(list(verify(run.folder, None))) <= 3
+    recording.train(run)
+    assert len(list(verify(run.folder, None))) == 2 + 1 + 1
+
+
+def test_half_a_game_at_the_end_is_allowed_while_a_run_goes_on(run):
+    with (run / records.FILE).open("ab") as file:
+        file.write(b"(\xb5/\xfd half a game")
+    with pytest.raises(RecordError, match="is damaged after"):
         list(verify(run, 1))
+    status = (run / "status.json").read_text()
+    (run / "status.json").write_text(status.replace("complete", "running"))
+    assert len(list(verify(run, 1))) == 1
+
+
+def test_a_run_that_comes_back_from_its_checkpoint_verifies(tmp_path, small):
+    """Evaluations are gone with its folder, from the tables and the records alike."""
+    run = Run(small(episodes=1), tmp_path)
+    recording.train(run)
+    runs.evaluate(run.folder, {"difficulty": 1}, games=1)
+    longer = Run(small(episodes=2), tmp_path)
+    recording.train(longer)
+    shutil.rmtree(run.folder)
+    recording.train(longer)
+    assert len(list(verify(run.folder, None))) == 2 + small().evaluation_games + 1
 
 
 def test_an_action_that_the_cartridge_lacks_is_refused(small):
@@ -220,39 +410,51 @@ def test_an_action_that_the_cartridge_lacks_is_refused(small):
         list(records.replay(small(game="breakout"), GameRecord(1, bytes([2, 9]), None)))
 
 
-def command(*arguments):
-    return subprocess.run(
-        [sys.executable, "-m", "atari_dqn", *map(str, arguments)], capture_output=True, text=True
-    )
+@pytest.fixture
+def command(monkeypatch, capsys):
+    """Runs the command line here; returns its exit code and what it wrote to stdout and stderr."""
+
+    def call(*arguments):
+        monkeypatch.setattr(sys, "argv", ["atari_dqn", *map(str, arguments)])
+        with pytest.raises(SystemExit) as ended:
+            __main__.main()
+        return ended.value.code, *capsys.readouterr()
+
+    return call
 
 
-def test_the_command_line_verifies_replays_and_films(run, tmp_path):
+def test_the_command_line_verifies_replays_and_films(run, tmp_path, command):
     film = tmp_path / "game.mp4"
-    replayed = command("replay", run, "--episode", 2, "--video", film)
-    assert replayed.returncode == 0, replayed.stderr
+    code, said, _ = command("replay", run, "--episode", 2, "--video", film)
+    assert code == 0
     row = pd.read_csv(run / "episodes.csv").loc[1]
-    assert f"game 2: {row.score:g} points, {row.length:.0f} agent steps" in replayed.stdout
+    assert f"game 2: {row.score:g} points, {row.length:.0f} agent steps" in said
     assert film.read_bytes()[4:8] == b"ftyp"
-    assert "all as the tables say" in command("verify", run).stdout
-    episodes = pd.read_csv(run / "episodes.csv")
-    episodes.loc[1, "score"] -= 1
-    episodes.to_csv(run / "episodes.csv", index=False)
-    found = command("verify", run)
-    assert found.returncode == 1
-    assert found.stderr.splitlines()[-1].startswith("error: training game (episode 2): score is")
-    absent = command("replay", run, "--episode", 77)
-    assert absent.returncode == 1
-    assert "has no training game 77" in absent.stderr
-    assert "Traceback" not in absent.stderr
+    code, said, _ = command("verify", run, run)
+    assert code == 0
+    assert said == f"{run}: 9 games played again, all as the tables say\n" * 2
+    assert command("verify", run, "--all", "--episodes", 2)[0] == 2
+    rewrite(run, "episodes.csv", lambda table: table.assign(score=table.score - (table.index == 1)))
+    code, _, errors = command("verify", run)
+    assert code == 1
+    assert errors.splitlines()[-1].startswith("error: training game (episode 2): score is")
+    code, _, errors = command("replay", run, "--episode", 77)
+    assert code == 1
+    assert "has no training game 77; it has 1 to 5" in errors
 
 
-def test_records_are_small(small):
-    """Whatever an agent does, less than 0.6 bytes a step and 120 a game."""
+def test_the_records_of_a_long_run_are_small():
+    """3,000 training games are less than 3 MB, whatever an agent does."""
     rng = np.random.default_rng(0)
-    actions = bytes(rng.integers(18, size=1785).tolist())
-    data = records.encode("training", {"episode": 1234}, GameRecord(17, actions, None))
-    assert len(data) < 0.6 * 1785 + 120
-    assert json.loads(zstandard.ZstdDecompressor().decompress(data))["episode"] == 1234
+
+    def game(number):
+        actions = bytes(rng.integers(18, size=1785).tolist())
+        return {"kind": "training", "episode": number}, GameRecord(17, actions, None)
+
+    data = records.with_evaluations([game(number) for number in range(1, 201)], [])
+    assert len(data) / 200 * 3000 < 3e6
+    while_training = records.encode([game(1)])
+    assert len(while_training) * 3000 < 4e6
 
 
 def test_an_unplayed_game_has_an_empty_record():

@@ -157,18 +157,24 @@ def replay(
 
 @app.command()
 def verify(
-    run_dir: RunFolder,
+    run_dirs: Annotated[list[Path], typer.Argument(help="Stored runs' folders, .../seed-N.")],
     episodes: Annotated[
-        int, typer.Option(min=1, help="How many games, evenly spaced over the run.")
-    ] = 20,
+        int | None,
+        typer.Option(min=1, help="How many games of a run, evenly spaced; 20 by default."),
+    ] = None,
     everything: Annotated[
-        bool, typer.Option("--all", help="All of them, and the greedy games behind values.csv.")
+        bool,
+        typer.Option("--all", help="All games, the greedy ones behind values.csv too: an hour."),
     ] = False,
 ) -> None:
     """Play games of a run again and compare them with its tables; exit 1 at a difference."""
-    checked = audit.verify(run_dir, None if everything else episodes)
-    count = sum(1 for _ in tqdm(checked, desc="verifying", unit="game", mininterval=2, leave=False))
-    print(f"{count} games played again: all as the tables say")
+    if everything and episodes is not None:
+        raise ParameterError("--episodes: --all plays every game; leave out one of the two")
+    for run_dir in run_dirs:
+        checked = audit.verify(run_dir, None if everything else episodes or 20)
+        bar = tqdm(checked, desc="verifying", unit="game", mininterval=2, leave=False)
+        count = sum(1 for _ in bar)
+        print(f"{run_dir}: {count} games played again, all as the tables say")
 
 
 @experiments_app.command()

@@ -16,6 +16,7 @@ from safetensors import safe_open
 from safetensors.torch import load_file, save
 from torch import nn
 
+from atari_dqn import records
 from atari_dqn.agents import AGENTS, torch_device
 from atari_dqn.envs import SIZE, GameRecord, game_of, interleave, learned_reward
 from atari_dqn.exploration import epsilon_greedy
@@ -54,7 +55,8 @@ class PlayedGame:
     def heading(self, trained_games: int) -> dict[str, Any]:
         """What tells this game from all others of the run."""
         keys = ("difficulty", "sticky_actions", "epsilon", "seed", "game")
-        return {"trained_games": trained_games, **{key: getattr(self, key) for key in keys}}
+        settings = {key: getattr(self, key) for key in keys}
+        return {"kind": records.EVALUATION, "trained_games": trained_games, **settings}
 
 
 PLAYED_COLUMNS = [field.name for field in fields(PlayedGame) if field.name != "record"]
@@ -198,7 +200,9 @@ class ValueCheck:
     score: float  # points, mean of those greedy games
 
 
-HELD_OUT_STATES, VALUE_GAMES = 512, 20
+HELD_OUT_STATES = 512
+VALUES_PERIOD = 100  # training games between rows of values.csv
+VALUE_GAMES = 20  # greedy games behind each
 
 
 def held_out_states(params: Parameters) -> np.ndarray:

@@ -26,7 +26,6 @@ from tqdm import tqdm
 
 from atari_dqn import checkpoints, evaluation, params, records
 from atari_dqn.agents import Learner
-from atari_dqn.envs import GameRecord
 from atari_dqn.evaluation import ValueCheck
 from atari_dqn.native import NativeLearner
 from atari_dqn.params import TRAINING_VERSION
@@ -45,15 +44,12 @@ from atari_dqn.runs import (
 from atari_dqn.training import Episode, Trainer, prepare_process
 
 CHECKPOINT_SECONDS = 900.0  # training time between checkpoints
-VALUES_PERIOD = 100  # games between rows of values.csv
 VERSIONED = ("torch", "numpy", "ale-py", "gymnasium", "opencv-python-headless", "zstandard")
 LOGS = {
     "episodes.csv": Episode.columns(),
     "timing.csv": ["episode", "seconds", "cpu_seconds"],
     "values.csv": [field.name for field in fields(ValueCheck)],
 }
-
-WRITTEN = (*LOGS, records.FILE)
 
 
 def train(
@@ -146,7 +142,7 @@ class Recorder:
         if saved is None:
             self._refuse_to_overwrite()
             written = {name: (",".join(header) + "\n").encode() for name, header in LOGS.items()}
-            written[records.FILE] = b""
+            self.recorded = b""
         else:
             self.trainer.set_state(saved["trainer"])
             self.episodes, self.seconds = saved["episodes"], saved["seconds"]
@@ -154,11 +150,12 @@ class Recorder:
             self.scores, self.snapshots = saved["scores"], saved["snapshots"]
             self.sessions = saved["sessions"]
             written = saved["written"]
-        self.files = {}
-        for name in LOGS:  # what came after the checkpoint will come again
-            write_atomically(run.folder / name, written[name])
-            self.files[name] = (run.folder / name).open("ab")
-        self._restore_records(written[records.FILE])
+            self.recorded = written[records.FILE]
+        with evaluations_lock(run.folder):  # what came after the checkpoint will come again
+            for name in LOGS:
+                write_atomically(run.folder / name, written[name])
+            self._restore_records()
+        self.files = {name: (run.folder / name).open("ab") for name in LOGS}
         for name, data in self.snapshots.items():
             self._write_snapshot(name, data)
         params.dump(run.params, run.folder / "params.yaml")
@@ -175,14 +172,14 @@ class Recorder:
         if saved is None:
             self.save()  # so that stored games without a checkpoint are always a loss of state
 
-    def _restore_records(self, data: bytes) -> None:
-        """As of the checkpoint, but for evaluations, which may have been added since."""
-        path = self.run.folder / records.FILE
-        with evaluations_lock(self.run.folder):
-            later = records.evaluated(path.read_bytes()) if path.exists() else []
-            if later:
-                data = records.replaced(data, records.EVALUATION, later)
-            write_atomically(path, data)
+    def _restore_records(self) -> None:
+        """As of the checkpoint, but for evaluations, which are no part of it: they may have been
+        added since, and their table stays too."""
+        path, data = self.run.folder / records.FILE, self.recorded
+        there = records.read_file(self.run.folder, torn=True) if path.exists() else []
+        if any(heading["kind"] == records.EVALUATION for heading, _ in there):
+            data = records.with_evaluations(list(records.read(data, path)), there)
+        write_atomically(path, data)
 
     def _refuse_to_overwrite(self) -> None:
         """Raises RunError if games are stored that cannot be continued."""
@@ -223,10 +220,11 @@ class Recorder:
 
     def log(self, episode: Episode) -> None:
         self.episodes = episode.episode
+        heading = {"kind": records.TRAINING, "episode": episode.episode}
+        self._record([(heading, episode.record)])
         self._append("episodes.csv", _row(episode, Episode.columns()))
         self._append("timing.csv", f"{episode.episode},{self.now():.1f},{self.cpu_now():.1f}")
-        self._record(records.TRAINING, {"episode": episode.episode}, episode.record)
-        if episode.episode % VALUES_PERIOD == 0:
+        if episode.episode % evaluation.VALUES_PERIOD == 0:
             self._check_values()
         if episode.episode in self.run.params.snapshot_games:
             self._take_snapshot()
@@ -238,10 +236,9 @@ class Recorder:
         check, games = evaluation.check_values(
             player, parameters, self.held_out, self.episodes, self.run.seed
         )
+        heading = {"kind": records.VALUES, "episode": self.episodes}
+        self._record([({**heading, "game": game.game}, game.record) for game in games])
         self._append("values.csv", _row(check, LOGS["values.csv"]))
-        for game in games:
-            heading = {"episode": self.episodes, "game": game.game}
-            self._record(records.VALUES, heading, game.record)
 
     @cached_property
     def held_out(self) -> np.ndarray:
@@ -256,8 +253,10 @@ class Recorder:
         (self.run.folder / "snapshots").mkdir(exist_ok=True)
         write_atomically(self.run.folder / "snapshots" / name, data)
 
-    def _record(self, kind: str, heading: dict[str, Any], record: GameRecord) -> None:
-        path, data = self.run.folder / records.FILE, records.encode(kind, heading, record)
+    def _record(self, games: list[records.Game]) -> None:
+        """Adds games to those on record, before a table has them: no row is without its record."""
+        path, data = self.run.folder / records.FILE, records.encode(games)
+        self.recorded += data
         try:
             with evaluations_lock(self.run.folder), path.open("ab") as file:
                 file.write(data)
@@ -298,7 +297,8 @@ class Recorder:
             "sessions": self.sessions,
             "scores": self.scores,
             "written": {
-                name: (self.run.folder / name).read_bytes() for name in (*LOGS, records.FILE)
+                **{name: (self.run.folder / name).read_bytes() for name in LOGS},
+                records.FILE: self.recorded,
             },
             "snapshots": self.snapshots,
         }

@@ -23,7 +23,7 @@ import hashlib
 import json
 import os
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -270,10 +270,12 @@ def evaluate(folder: Path, overrides: dict[str, Any], games: int | None = None) 
     """Plays a stored run's model, stores the games in its evaluations.csv and returns them.
 
     `overrides` replace parameters of the run (difficulty, sticky_actions, evaluation_epsilon).
-    Raises RunError or ParameterError on bad input.
+    Raises RunError, RecordError or ParameterError on bad input.
     """
     prepare_process()
     network, parameters = stored_agent(folder, overrides)
+    if (folder / records.FILE).exists():
+        records.read_file(folder)  # lest games are played that cannot be added to a damaged file
     games = games or parameters.evaluation_games
     seed, trained = parameters.seeds[0], evaluation.trained_games(folder / "model.safetensors")
     player = evaluation.player_of(network, parameters)
@@ -284,9 +286,11 @@ def evaluate(folder: Path, overrides: dict[str, Any], games: int | None = None) 
     return table.sort_values("game", ignore_index=True)
 
 
-def evaluations_lock(folder: Path) -> FileLock:
-    """To be held while evaluations or records are written: a run may train, or end, while another
-    process evaluates it."""
+def evaluations_lock(folder: Path) -> AbstractContextManager:
+    """To be held while evaluations or records are written, or read together: a run may train, or
+    end, while another process evaluates it. Nobody changes a folder that cannot be written to."""
+    if not os.access(folder, os.W_OK):
+        return nullcontext()
     return FileLock(folder / ".evaluations.lock")
 
 
@@ -294,7 +298,6 @@ def store_evaluation(folder: Path, played: list[PlayedGame], trained_games: int)
     """Adds games of a model, after so many games of training, to evaluations.csv and to the games
     on record, in the place of the same games of the same model and settings."""
     path, recorded = folder / "evaluations.csv", folder / records.FILE
-    played = sorted(played, key=lambda game: json.dumps(game.heading(trained_games)))
     table = pd.DataFrame([game.row() for game in played])
     table["trained_games"] = trained_games
     settings = ["trained_games", "difficulty", "sticky_actions", "epsilon", "seed"]
@@ -302,9 +305,9 @@ def store_evaluation(folder: Path, played: list[PlayedGame], trained_games: int)
         if path.exists():
             table = pd.concat([pd.read_csv(path), table])
         table = table.drop_duplicates([*settings, "game"], keep="last")
-        before = recorded.read_bytes() if recorded.exists() else b""
+        before = records.read_file(folder) if recorded.exists() else []
         games = [(game.heading(trained_games), game.record) for game in played]
-        write_atomically(recorded, records.replaced(before, records.EVALUATION, games))
+        write_atomically(recorded, records.with_evaluations(before, games))
         write_atomically(path, table.sort_values([*settings, "game"]).to_csv(index=False).encode())
 
 
