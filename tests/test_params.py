@@ -1,3 +1,4 @@
+import re
 from pathlib import Path
 
 import pytest
@@ -7,6 +8,7 @@ from atari_dqn import experiments, params
 from atari_dqn.params import ParameterError, Parameters
 
 ROOT = Path(__file__).parents[1]
+FILES = [path for profile in params.PROFILES for path in experiments.files(profile)]
 # What only some experiments need to name.
 RARE = {
     *("device", "learner", "warmup_games", "warmup_learning_rate", "variations"),
@@ -52,7 +54,7 @@ def test_small_versions_say_only_how_they_are_smaller():
             full = params.load(ROOT / "params" / path.name)
             small = params.load(path)
             own = YAML(typ="safe", pure=True).load(path.read_text())
-            assert set(own) <= size | {"base"}, path
+            assert set(own) <= size | {"base", "experiment"}, path
             assert small.model_dump(exclude=size) == full.model_dump(exclude=size), path
             assert set(small.agents) <= set(full.agents), path
             assert small.variations.items() <= full.variations.items(), path
@@ -202,6 +204,36 @@ def test_papermill_may_be_given_a_file_with_bases(tmp_path):
     path = write(tmp_path, "experiment: mine\nbase: common.yaml\nbatch_size: 8")
     as_injected = YAML(typ="safe", pure=True).load(path.read_text())
     assert params.resolve(as_injected, tmp_path) == params.load(path)
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: f"{path.parent.name}/{path.stem}")
+def test_papermill_trains_what_the_file_says_that_it_is_given(path):
+    """On top of the front notebook's defaults, as papermill injects it."""
+    defaults = {"experiment": "boxing_final", "profile": "quick"}
+    injected = YAML(typ="safe", pure=True).load(path.read_text())
+    assert params.resolve({**defaults, **injected}, ROOT / "params") == params.load(path)
+
+
+def test_a_notebook_takes_no_file_with_a_base_from_elsewhere(tmp_path):
+    write(tmp_path, "gamma: 0.5", "common.yaml")
+    write(tmp_path, "base: common.yaml")
+    for values in ({"experiment": "own", "game": "boxing"}, {"experiment": "mine"}):
+        with pytest.raises(
+            ParameterError, match=r"base: 'other.yaml' is not allowed: .*train FILE"
+        ):
+            params.resolve({**values, "base": "other.yaml"}, tmp_path)
+
+
+def test_what_is_wrong_in_a_base_is_looked_for_there(tmp_path):
+    write(tmp_path, "experiment: lowest\ngama: 0.5\ngamma: 2", "lowest.yaml")
+    write(tmp_path, "base: lowest.yaml\nepisodes: -1", "base.yaml")
+    with pytest.raises(ParameterError) as caught:
+        params.load(write(tmp_path, "base: base.yaml\nbatch_size: 0"))
+    said = str(caught.value)
+    assert f"unknown key 'gama': did you mean 'gamma'? (it is in {tmp_path}/lowest.yaml)" in said
+    assert re.search(rf"gamma: 2 is not allowed: [^;]* \(it is in {tmp_path}/lowest.yaml\)", said)
+    assert re.search(rf"episodes: -1 is not allowed: [^;]* \(it is in {tmp_path}/base.yaml\)", said)
+    assert re.search(r"batch_size: 0 is not allowed: [^;(]*(;|$)", said)
 
 
 def test_what_is_evaluated_besides_gives_an_experiment_no_other_name(tmp_path):

@@ -189,7 +189,7 @@ def _variation(params: Parameters, label: str) -> Parameters:
     try:
         return Parameters.model_validate(values)
     except ValidationError as error:
-        raise _key_error("variations", label, _one_line(error)) from None
+        raise _key_error("variations", label, _one_line(error, {})) from None
 
 
 def _digest(values: Any) -> str:
@@ -200,7 +200,14 @@ def _key_error(key: str, value: Any, why: str) -> ValueError:
     return ValueError(f"{key}: {value!r} is not allowed: {why}")
 
 
-def _one_line(error: ValidationError) -> str:
+class Values(dict[str, Any]):
+    """Keys and values of a parameter file and its bases; `files` has the base of each that is from
+    one."""
+
+    files: dict[str, Path]
+
+
+def _one_line(error: ValidationError, files: dict[str, Path]) -> str:
     """What pydantic found, as one line for people: key, value and what is allowed."""
     lines = []
     for detail in error.errors():
@@ -217,6 +224,8 @@ def _one_line(error: ValidationError) -> str:
                 message = message[0].lower() + message[1:]
                 message = f"{key}: {detail['input']!r} is not allowed: {message}"
             lines.append(message)
+        if detail["loc"] and detail["loc"][0] in files:
+            lines[-1] += f" (it is in {files[detail['loc'][0]]})"
     return "; ".join(lines)
 
 
@@ -225,16 +234,41 @@ def parse(values: dict[str, Any], source: str) -> Parameters:
     try:
         return Parameters.model_validate(values)
     except ValidationError as error:
-        raise ParameterError(f"{source}: {_one_line(error)}") from None
+        files = values.files if isinstance(values, Values) else {}
+        raise ParameterError(f"{source}: {_one_line(error, files)}") from None
 
 
-def read_values(path: Path) -> dict[str, Any]:
+def read_values(path: Path) -> Values:
     """The keys and values of a YAML file, on top of those of the files that its `base` names, from
-    the first to the last; their paths are relative to its own."""
+    the first to the last, but for their `experiment`; their paths are relative to its own."""
     return _read_values(path, ())
 
 
-def _read_values(path: Path, above: tuple[Path, ...]) -> dict[str, Any]:
+def _read_values(path: Path, above: tuple[Path, ...]) -> Values:
+    values = _read_file(path)
+    given = values.pop("base", [])
+    names = [given] if isinstance(given, str) else given
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        raise ParameterError(f"{path}: base: {given!r} is not allowed: must be a file, or a list")
+    merged = Values()
+    merged.files = {}
+    for name in names:
+        base = path.parent / name
+        if any(base.resolve() == other.resolve() for other in (path, *above)):
+            raise ParameterError(f"{path}: base: {name!r} is not allowed: it is based on this file")
+        if not base.is_file():
+            raise ParameterError(f"{path}: base: {name!r} is not allowed: there is no {base}")
+        inherited = _read_values(base, (path, *above))
+        inherited.pop("experiment", None)
+        merged.update(inherited)
+        merged.files |= {key: inherited.files.get(key, base) for key in inherited}
+    merged.update(values)
+    for key in values:
+        merged.files.pop(key, None)
+    return merged
+
+
+def _read_file(path: Path) -> dict[str, Any]:
     try:
         values = YAML(typ="safe", pure=True).load(path.read_text(encoding="utf-8"))
     except OSError as error:
@@ -243,25 +277,12 @@ def _read_values(path: Path, above: tuple[Path, ...]) -> dict[str, Any]:
         raise ParameterError(f"{path}: " + _yaml_message(error)) from None
     if not isinstance(values, dict) or not all(isinstance(key, str) for key in values):
         raise ParameterError(f"{path}: expected lines of 'key: value'")
-    given = values.pop("base", [])
-    names = [given] if isinstance(given, str) else given
-    merged: dict[str, Any] = {}
-    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
-        raise ParameterError(f"{path}: base: {given!r} is not allowed: must be a file, or a list")
-    for name in names:
-        base = path.parent / name
-        if any(base.resolve() == other.resolve() for other in (path, *above)):
-            raise ParameterError(f"{path}: base: {name!r} is not allowed: it is based on this file")
-        if not base.is_file():
-            raise ParameterError(f"{path}: base: {name!r} is not allowed: there is no {base}")
-        merged |= _read_values(base, (path, *above))
-    return merged | values
+    return values
 
 
 def files_behind(path: Path) -> list[Path]:
     """A parameter file, and those that it is based on."""
-    values = YAML(typ="safe", pure=True).load(path.read_text(encoding="utf-8"))
-    given = values.get("base", [])
+    given = _read_file(path).get("base", [])
     names = [given] if isinstance(given, str) else given
     return [path, *(file for name in names for file in files_behind(path.parent / name))]
 
@@ -327,12 +348,19 @@ def resolve(values: dict[str, Any], folder: Path) -> Parameters:
     (the project's params/), and the other values are put on top of it, as `load` does.
 
     An experiment without a file there must bring all that differs from the defaults, and name its
-    game, lest a name that is spelt wrong trains something else.
+    game, lest a name that is spelt wrong trains something else. A `base` comes from `papermill -f
+    FILE`, which knows nothing of bases: it must be that of the file in `folder`.
     """
-    values = {key: value for key, value in values.items() if key != "base"}  # of papermill -f FILE
+    values, base = dict(values), values.get("base")
+    values.pop("base", None)
     given = parse(values, "notebook parameters")
     profile = "" if given.profile == "full" else given.profile
     path = folder / profile / f"{given.experiment}.yaml"
+    if base is not None and (not path.exists() or _read_file(path).get("base") != base):
+        raise ParameterError(
+            f"base: {base!r} is not allowed: {path} has another, and a notebook takes no other "
+            "files with bases; `python -m atari_dqn train FILE` does"
+        )
     if path.exists():
         return load(path, values)
     names = [file.stem for file in folder.glob("*.yaml")]
