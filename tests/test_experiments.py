@@ -174,7 +174,7 @@ def project(tmp_path, small):
     """A project folder with one experiment of two agents, long enough to be interrupted."""
     (tmp_path / "params").mkdir()
     (tmp_path / "pyproject.toml").touch()
-    plan(tmp_path, small(profile="full", agents=["dqn", "double_dqn"], episodes=30))
+    plan(tmp_path, small(profile="full", agents=["dqn", "double_dqn"], episodes=20))
     return tmp_path
 
 
@@ -268,7 +268,7 @@ def saved_games(wanted):
 
 def test_cluster_runs_survive_ctrl_c_and_lost_workers(project, dask, small, monkeypatch):
     address, workers = dask
-    plan(project, small(profile="full", agents=["dqn", "double_dqn"], episodes=60))
+    plan(project, small(profile="full", agents=["dqn", "double_dqn"], episodes=40))
     wanted = planned(project)
     process = runner(project, "--scheduler", address)
     wait_until(lambda: all(checkpoints.load(run.state_folder) for run in wanted), process)
@@ -279,7 +279,7 @@ def test_cluster_runs_survive_ctrl_c_and_lost_workers(project, dask, small, monk
     wait_until(lambda: all(map(lockable, wanted)))
     assert states(wanted) == ["missing", "missing"], "results come back when they are whole"
     saved = saved_games(wanted)
-    assert 0 < max(saved) < 60
+    assert 0 < max(saved) < 40
 
     process = runner(project, "--scheduler", address)
     wait_until(lambda: not any(map(lockable, wanted)), process)

@@ -14,12 +14,13 @@ What an agent sees of 12 emulator frames, with frame_skip 4 and frame_stack 3:
 """
 
 from dataclasses import asdict, dataclass, replace
+from functools import cache
 from typing import Any
 
 import cv2
 import gymnasium
 import numpy as np
-from ale_py import ALEInterface, ALEState, LoggerMode, roms
+from ale_py import Action, ALEInterface, ALEState, LoggerMode, roms
 
 from atari_dqn.params import Parameters
 
@@ -72,6 +73,14 @@ def boxing_points(cell: int) -> int:
     return 100 if cell == 0xC0 else 10 * (cell >> 4) + (cell & 0xF)
 
 
+@cache
+def cartridge(game: str) -> tuple[list[Action], list[int]]:
+    """The actions that have an effect in a game, and its difficulties."""
+    ale = ALEInterface()
+    ale.loadROM(roms.get_rom_path(game))
+    return ale.getMinimalActionSet(), ale.getAvailableDifficulties()
+
+
 class AtariGame(gymnasium.Env):
     """One cartridge in one emulator, preprocessed as in Mnih et al. (2015), Methods.
 
@@ -105,11 +114,10 @@ class AtariGame(gymnasium.Env):
         self.sticky_actions = sticky_actions
         self.ale = ALEInterface()
         self.ale.setFloat("repeat_action_probability", 0.0)  # see _act
-        self.ale.loadROM(roms.get_rom_path(game))
-        if difficulty not in self.ale.getAvailableDifficulties():
+        self.loaded = False
+        self.actions, difficulties = cartridge(game)
+        if difficulty not in difficulties:
             raise ValueError(f"{game} has no difficulty {difficulty}")
-        self.ale.setDifficulty(difficulty)
-        self.actions = self.ale.getMinimalActionSet()
         self.action_space = gymnasium.spaces.Discrete(len(self.actions))
         self.observation_space = gymnasium.spaces.Box(0, 255, (SIZE, SIZE), np.uint8)
         self._screens = np.zeros((2, 210, 160), np.uint8)  # the two frames that are maximised
@@ -118,10 +126,11 @@ class AtariGame(gymnasium.Env):
         self.record = GameRecord(0, b"", None)  # of the game's beginning; `played` has the actions
         self.chosen = bytearray()  # actions of this game
 
-    def _seed_emulator(self, seed: int) -> None:
-        self.ale.setInt("random_seed", seed)
-        self.ale.loadROM(roms.get_rom_path(self.game))  # the seed takes effect here
+    def _load(self) -> None:
+        """Inserts the cartridge, which takes a tenth of a second."""
+        self.ale.loadROM(roms.get_rom_path(self.game))
         self.ale.setDifficulty(self.difficulty)
+        self.loaded = True
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
         """Starts a game, with `options["record"]` the recorded one, whose actions are then to be
@@ -129,7 +138,10 @@ class AtariGame(gymnasium.Env):
         if seed is not None:  # as ale_py.AtariEnv derives its two seeds from one
             np_seed, ale_seed = np.random.SeedSequence(seed).generate_state(2)
             super().reset(seed=int(np_seed))
-            self._seed_emulator(int(ale_seed.astype(np.int32)))
+            self.ale.setInt("random_seed", int(ale_seed.astype(np.int32)))
+            self.loaded = False  # the seed takes effect with the cartridge
+        if not self.loaded:
+            self._load()
         self.ale.reset_game()
         self.score, self.frames, self.length, self.last_action = 0.0, 0, 0, 0
         record = (options or {}).get("record")
@@ -254,6 +266,8 @@ class AtariGame(gymnasium.Env):
 
     def set_state(self, state: dict[str, Any]) -> None:
         """Restores what `get_state` returned, in a game of the same cartridge and settings."""
+        if not self.loaded:
+            self._load()
         emulator = ALEState.__new__(ALEState)
         emulator.__setstate__(state["emulator"])
         self.ale.restoreState(emulator)
