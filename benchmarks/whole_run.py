@@ -3,7 +3,8 @@
     python benchmarks/whole_run.py [--transitions 100000 1000000] [--steps 8000]
 
 For each size, the Double DQN of params/boxing_final.yaml, one thread, in a process of its own: its
-replay memory is filled with real games of random play, without learning; then agent steps of
+replay memory is filled with real games of random play (20,000 transitions of them, over and over),
+without learning; then agent steps of
 `Trainer.run`, learning included, are timed, and so is writing a checkpoint of the whole trainer
 (median of three). Another process goes on from it, which times its loading. Writes whole_run.csv
 into results/benchmarks/; resident_megabytes is the most that either process ever held. Checkpoints
@@ -27,17 +28,25 @@ from atari_dqn.training import Trainer, prepare_process
 
 WARM_UP = 800  # agent steps that are not timed
 SAVES = 3
+PLAYED = 20_000  # transitions of real games that a memory is filled with
 
 
 def fill(trainer: Trainer, transitions: int) -> None:
-    """Random play until the memory holds that many transitions. The trainer's own count of agent
-    steps stays 0: updates are due by it, and must not pile up."""
+    """Random play until the memory holds that many transitions, from some point on the same games
+    over and over. The trainer's own count of agent steps stays 0: updates are due by it, and must
+    not pile up."""
     games, memory = trainer.games, trainer.memory
-    rng = np.random.default_rng(0)
-    for _ in range(transitions // memory.streams - 1):  # the trainer has stored the first images
+    rng, played = np.random.default_rng(0), []
+    wanted = transitions // memory.streams - 1  # the trainer has stored the first images
+    for _ in range(min(wanted, PLAYED // memory.streams)):
         actions = rng.integers(games.actions, size=memory.streams)
         step = games.step(actions)
-        memory.append(step.images, step.ages, actions, step.rewards, step.terminated)
+        played.append((step.images.copy(), step.ages, actions, step.rewards, step.terminated))
+        memory.append(*played[-1])
+    images, ages, *rest = played[0]
+    again = [(images, np.zeros_like(ages), *rest), *played[1:]]  # games that begin there
+    for number in range(len(played), wanted):
+        memory.append(*again[number % len(again)])
 
 
 def train(
