@@ -225,7 +225,8 @@ def test_ctrl_c_leaves_all_runs_resumable_and_the_same_command_ends_them(project
     assert states(wanted) == ["complete", "complete"]
 
 
-def test_two_runners_do_not_train_the_same_run_twice(project):
+def test_two_runners_do_not_train_the_same_run_twice(project, small):
+    plan(project, small(profile="full", agents=["dqn", "double_dqn"], episodes=1000))  # no end soon
     wanted = planned(project)
     first = runner(project)
     wait_until(lambda: states(wanted) == ["running", "running"], first)
@@ -233,8 +234,10 @@ def test_two_runners_do_not_train_the_same_run_twice(project):
     _, errors = second.communicate(timeout=PATIENCE)
     assert second.returncode == 1
     assert "is being trained by another process" in errors
+    assert states(wanted) == ["running", "running"]
+    first.send_signal(signal.SIGINT)
     first.communicate(timeout=PATIENCE)
-    assert states(wanted) == ["complete", "complete"]
+    assert states(wanted) == ["interrupted", "interrupted"]
     for run in wanted:
         assert json.loads((run.folder / "provenance.json").read_text())["resumes"] == 0
 
