@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from gymnasium.wrappers import AtariPreprocessing, FrameStackObservation
 
+from atari_dqn import envs
 from atari_dqn.envs import FIRE, GAMES, AtariGame, LockstepGames
 
 gymnasium.register_envs(ale_py)
@@ -250,6 +251,42 @@ class _Recording:
 
     def __getattr__(self, name):
         return getattr(self._ale, name)
+
+
+def test_a_used_emulator_plays_as_a_new_one_does():
+    """Emulators go from game to game, whatever their last game was."""
+
+    def play(game):
+        images = [game.reset(seed=1)[0]]
+        actions = np.random.default_rng(2).integers(18, size=300)
+        images += [game.step(int(action))[0] for action in actions]
+        return game.score, game.ram().tobytes(), np.stack(images).tobytes()
+
+    envs._LEFT.clear()
+    expected = play(AtariGame("boxing"))
+    envs._LEFT.clear()
+    used = AtariGame("boxing", difficulty=3, sticky_actions=0.5)
+    emulator = used.ale
+    assert play(used) != expected
+    emulator.setRAM(AGENTS_SCORE, 0x42)
+    del used
+    game = AtariGame("boxing")
+    assert game.ale is emulator
+    assert play(game) == expected
+    assert AtariGame("boxing").ale is not emulator, "which is in use"
+
+
+def test_every_game_begins_alike_however_many_were_played_before():
+    """Left to itself, the emulator draws the console's timer at every reset, and a game of Boxing
+    in fifteen begins a frame later."""
+    game = AtariGame("boxing", noop_max=0)
+    beginnings = {(game.reset()[0].tobytes(), game.ram().tobytes()) for _ in range(60)}
+    assert len(beginnings) == 1
+    left_to_itself = set()
+    for _ in range(60):
+        game.ale.reset_game()
+        left_to_itself.add(game.ram().tobytes())
+    assert len(left_to_itself) == 2
 
 
 def test_an_unknown_difficulty_is_refused():

@@ -13,14 +13,15 @@ What an agent sees of 12 emulator frames, with frame_skip 4 and frame_stack 3:
     observation                              [4, 8, 12]  the last 3 images, oldest first
 """
 
+import atexit
+import weakref
 from dataclasses import asdict, dataclass, replace
-from functools import cache
 from typing import Any
 
 import cv2
 import gymnasium
 import numpy as np
-from ale_py import Action, ALEInterface, ALEState, LoggerMode, roms
+from ale_py import ALEInterface, ALEState, LoggerMode, roms
 
 from atari_dqn.params import Parameters
 
@@ -73,12 +74,27 @@ def boxing_points(cell: int) -> int:
     return 100 if cell == 0xC0 else 10 * (cell >> 4) + (cell & 0xF)
 
 
-@cache
-def cartridge(game: str) -> tuple[list[Action], list[int]]:
-    """The actions that have an effect in a game, and its difficulties."""
+@dataclass(frozen=True)
+class Emulator:
+    """An emulator with a cartridge in it, and its state when it was switched on."""
+
+    ale: ALEInterface
+    switched_on: ALEState
+
+
+_LEFT: dict[str, list[Emulator]] = {}  # by cartridge, those that no game uses any more
+atexit.register(_LEFT.clear)  # the binding complains of objects that outlive it
+
+
+def _emulator(game: str) -> Emulator:
+    """One that another game has left, if there is one: inserting a cartridge takes a tenth of a
+    second."""
+    if left := _LEFT.setdefault(game, []):
+        return left.pop()
     ale = ALEInterface()
+    ale.setFloat("repeat_action_probability", 0.0)  # see AtariGame._act
     ale.loadROM(roms.get_rom_path(game))
-    return ale.getMinimalActionSet(), ale.getAvailableDifficulties()
+    return Emulator(ale, ale.cloneState(include_rng=True))
 
 
 class AtariGame(gymnasium.Env):
@@ -112,11 +128,11 @@ class AtariGame(gymnasium.Env):
         self.frame_skip, self.noop_max = frame_skip, noop_max
         self.difficulty, self.max_game_frames = difficulty, max_game_frames
         self.sticky_actions = sticky_actions
-        self.ale = ALEInterface()
-        self.ale.setFloat("repeat_action_probability", 0.0)  # see _act
-        self.loaded = False
-        self.actions, difficulties = cartridge(game)
-        if difficulty not in difficulties:
+        emulator = _emulator(game)
+        weakref.finalize(self, _LEFT[game].append, emulator).atexit = False
+        self.ale, self._switched_on = emulator.ale, emulator.switched_on
+        self.actions = self.ale.getMinimalActionSet()
+        if difficulty not in self.ale.getAvailableDifficulties():
             raise ValueError(f"{game} has no difficulty {difficulty}")
         self.action_space = gymnasium.spaces.Discrete(len(self.actions))
         self.observation_space = gymnasium.spaces.Box(0, 255, (SIZE, SIZE), np.uint8)
@@ -126,22 +142,16 @@ class AtariGame(gymnasium.Env):
         self.record = GameRecord(0, b"", None)  # of the game's beginning; `played` has the actions
         self.chosen = bytearray()  # actions of this game
 
-    def _load(self) -> None:
-        """Inserts the cartridge, which takes a tenth of a second."""
-        self.ale.loadROM(roms.get_rom_path(self.game))
-        self.ale.setDifficulty(self.difficulty)
-        self.loaded = True
-
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
         """Starts a game, with `options["record"]` the recorded one, whose actions are then to be
         stepped. Returns (image uint8 [84, 84], info)."""
-        if seed is not None:  # as ale_py.AtariEnv derives its two seeds from one
-            np_seed, ale_seed = np.random.SeedSequence(seed).generate_state(2)
-            super().reset(seed=int(np_seed))
-            self.ale.setInt("random_seed", int(ale_seed.astype(np.int32)))
-            self.loaded = False  # the seed takes effect with the cartridge
-        if not self.loaded:
-            self._load()
+        if seed is not None:  # as ale_py.AtariEnv derives it
+            super().reset(seed=int(np.random.SeedSequence(seed).generate_state(1)[0]))
+        # A reset draws the console's timer, on which the first frames of Boxing depend: without
+        # the state of the generator before it, one game in fifteen would begin a frame later, and
+        # could not be played again from its record.
+        self.ale.restoreState(self._switched_on)
+        self.ale.setDifficulty(self.difficulty)
         self.ale.reset_game()
         self.score, self.frames, self.length, self.last_action = 0.0, 0, 0, 0
         record = (options or {}).get("record")
@@ -254,7 +264,7 @@ class AtariGame(gymnasium.Env):
         caller keeps the images it has been given.
         """
         return {
-            "emulator": self.ale.cloneState(include_rng=True).serialize(),
+            "emulator": self.ale.cloneState().serialize(),
             "rng": self.np_random.bit_generator.state,
             "score": self.score,
             "frames": self.frames,
@@ -266,8 +276,6 @@ class AtariGame(gymnasium.Env):
 
     def set_state(self, state: dict[str, Any]) -> None:
         """Restores what `get_state` returned, in a game of the same cartridge and settings."""
-        if not self.loaded:
-            self._load()
         emulator = ALEState.__new__(ALEState)
         emulator.__setstate__(state["emulator"])
         self.ale.restoreState(emulator)
