@@ -8,7 +8,7 @@ import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
 from multiprocessing.connection import Connection, wait
-from multiprocessing.context import ForkServerContext
+from multiprocessing.context import SpawnContext
 from pathlib import Path
 
 import numpy as np
@@ -208,8 +208,7 @@ def train_all(wanted: list[Run], workers: int | None = None) -> list[str]:
     resumable and raise KeyboardInterrupt.
     """
     pending, failures = startable(wanted)
-    context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload([recording.__name__])  # imported once, not by every process
+    context = multiprocessing.get_context("spawn")
     active: dict[int, _Worker] = {}
     places = list(range(workers or cores()))  # lines for progress bars
     with stopping_on_sigterm():
@@ -243,7 +242,7 @@ def cores() -> int:
 class _Worker:
     """A process that trains one run."""
 
-    def __init__(self, context: ForkServerContext, run: Run, place: int):
+    def __init__(self, context: SpawnContext, run: Run, place: int):
         self.run, self.place = run, place
         self.receiver, sender = context.Pipe(duplex=False)
         self.process = context.Process(target=_train, args=(run, place, sender))
