@@ -69,10 +69,14 @@ def run_folder(name, results):
     return runs.runs_of(parameters, results)[0].folder
 
 
-def test_a_section_on_the_whole_study_depends_on_every_experiment(notebook, tmp_path):
-    notebook.write_text(notebook.read_text().replace("sections.Section(", "sections.Study("))
+@pytest.mark.parametrize(("named", "all_of_them"), [("", True), (", names=names", False)])
+def test_a_section_on_the_whole_study_depends_on_every_experiment(
+    notebook, tmp_path, named, all_of_them
+):
+    text = notebook.read_text().replace("sections.Section(", "sections.Study(")
+    notebook.write_text(text.replace("profile)", f"profile{named})"))
     before = freshness.fingerprint(notebook, "smoke", tmp_path)
     folder = run_folder("breakout_late", tmp_path)
     folder.mkdir(parents=True)
     (folder / "episodes.csv").write_text("episode\n")
-    assert freshness.fingerprint(notebook, "smoke", tmp_path) != before
+    assert (freshness.fingerprint(notebook, "smoke", tmp_path) != before) == all_of_them

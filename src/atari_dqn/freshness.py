@@ -49,9 +49,9 @@ def _data(notebook: Path) -> list[Path]:
 
 def _stored(code: str, profile: str, results: Path) -> Iterator[Path]:
     """The parameter files and stored runs of every experiment that the code names; of all of them
-    if it asks for the whole study."""
+    if it asks for a study of no experiments in particular."""
     for path in experiments.files(profile):
-        if not re.search(rf"""["']{path.stem}["']|\bStudy\(""", code):
+        if not re.search(rf"""["']{path.stem}["']|\bStudy\((?![^)]*names)""", code):
             continue
         yield from params.files_behind(path)
         for run in runs.runs_of(params.load(path), results):

@@ -70,8 +70,8 @@ def data(name: str) -> Any:
 class Section:
     """The runs that one section of the report is about.
 
-    `agents` and `seeds` restrict the experiment's own; None takes them all. With `train_missing`
-    what is missing is trained first. Raises ParameterError on an unknown experiment or agent.
+    `agents` and `seeds` take the place of the experiment's own. Raises ParameterError on an
+    unknown experiment or agent.
     """
 
     def __init__(
@@ -81,7 +81,6 @@ class Section:
         results_dir: str | None = None,
         agents: list[str] | None = None,
         seeds: list[int] | None = None,
-        train_missing: bool = False,
     ):
         found = {path.stem: path for path in experiments.files(profile)}
         if experiment not in found:
@@ -95,13 +94,14 @@ class Section:
         self.slug = experiment.replace("_", "-")  # what this section's labels hold
         folder = runs.results_folder(profile, results_dir)
         self.runs = runs.runs_of(self.params, folder)
-        if train_missing:
-            failures = experiments.train_all(self.runs)
-            if failures:
-                raise runs.RunError("; ".join(failures))
         # How many games a point of a learning curve, and a number at a mark, is the mean of.
         self.curve_window = max(1, self.params.episodes // 30)
         self.mark_window = max(1, self.params.episodes // len(MARKS))
+
+    def train(self) -> None:
+        """Trains what is missing. Raises RunError if a run fails."""
+        if failures := experiments.train_all(self.runs):
+            raise runs.RunError("; ".join(failures))
 
     @cached_property
     def usable(self) -> list[Run]:
@@ -246,15 +246,27 @@ class Section:
 
 
 class Study:
-    """All experiments of a profile: study["boxing_final"] is its section."""
+    """Experiments of a profile: study["boxing_final"] is its section.
 
-    def __init__(self, profile: str, results_dir: str | None = None):
-        self.sections = {
-            path.stem: Section(path.stem, profile, results_dir)
-            for path in experiments.files(profile)
-        }
+    `names` are those of the experiments; None takes all. `agents` and `seeds` take the place of
+    each experiment's own.
+    """
+
+    def __init__(
+        self,
+        profile: str,
+        results_dir: str | None = None,
+        names: list[str] | None = None,
+        agents: list[str] | None = None,
+        seeds: list[int] | None = None,
+    ):
+        if names is None:
+            names = [path.stem for path in experiments.files(profile)]
+        self.sections = {name: Section(name, profile, results_dir, agents, seeds) for name in names}
 
     def __getitem__(self, experiment: str) -> Section:
+        if experiment not in self.sections:
+            raise KeyError(f"{experiment!r} is not among the study's {', '.join(self.sections)}")
         return self.sections[experiment]
 
     @property
