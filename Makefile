@@ -60,9 +60,11 @@ verify: $(READY) ## play games of every stored run again and compare them with i
 test: $(READY) ## run the tests
 	$(RUN) pytest -n 2 --dist loadfile
 
-check: $(READY) ## run the linter and the formatter's check
+check: $(READY) ## run the linter, the formatter's check, the order of the floors, the types
 	$(RUN) ruff check .
 	$(RUN) ruff format --check .
+	$(VENV)/bin/lint-imports
+	$(RUN) mypy
 
 format: $(READY) ## format the code
 	$(RUN) ruff check --fix .
@@ -83,5 +85,5 @@ bench: $(READY) ## measure training speed beside the peers' (an hour; an environ
 clean: ## remove everything that can be made again; stored runs, checkpoints and the report stay
 	rm -rf $(VENV) .venv-bench results/notebooks
 	rm -rf $(foreach small,quick smoke,results/$(small)/notebooks results/$(small)/report)
-	rm -rf .pytest_cache .ruff_cache .hypothesis
+	rm -rf .pytest_cache .ruff_cache .mypy_cache .import_linter_cache .hypothesis
 	find src tests -name __pycache__ -prune -exec rm -rf {} +

@@ -19,7 +19,7 @@ from throughput import layer_operations, matrix_peak, operations
 from workload import BATCH, CAPACITY, EPSILON, LEARNING_STARTS, UPDATE_PERIOD, WARM_UP
 
 from atari_dqn.params import Parameters
-from atari_dqn.runs import project_root
+from atari_dqn.runs.files import project_root
 from atari_dqn.training import Trainer, prepare_process
 
 UPDATES = 400

@@ -22,9 +22,10 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from atari_dqn import checkpoints
 from atari_dqn.params import Parameters
-from atari_dqn.runs import Run, project_root
+from atari_dqn.runs import checkpoints
+from atari_dqn.runs.files import project_root
+from atari_dqn.runs.run import Run
 
 SMALL = Parameters(
     experiment="kills",
@@ -43,13 +44,15 @@ SMALL = Parameters(
 PROGRAM = """
 import sys
 from pathlib import Path
-from atari_dqn import recording, runs
+from atari_dqn import evaluation
 from atari_dqn.params import Parameters
-recording.CHECKPOINT_SECONDS = 0.05
+from atari_dqn.runs import recorder
+from atari_dqn.runs.run import Run
+recorder.CHECKPOINT_SECONDS = 0.05
 evaluation.VALUES_PERIOD = 20
 print("ready", flush=True)
 parameters = Parameters.model_validate_json(sys.argv[1])
-recording.train(runs.Run(parameters, Path(sys.argv[2])))
+recorder.train(Run(parameters, Path(sys.argv[2])))
 """
 
 

@@ -18,8 +18,8 @@ from whole_run import fill
 
 from atari_dqn import params
 from atari_dqn.agents import AGENTS
-from atari_dqn.recording import processor
-from atari_dqn.runs import project_root
+from atari_dqn.runs.files import project_root
+from atari_dqn.runs.recorder import processor
 from atari_dqn.training import Trainer, prepare_process
 
 TURN, WARM_UP = 320, 320  # agent steps

@@ -18,10 +18,11 @@ import numpy as np
 import pandas as pd
 import psutil
 
-from atari_dqn.envs import GAMES, LockstepGames
+from atari_dqn.envs import LockstepGames
+from atari_dqn.games import GAMES
 from atari_dqn.params import Parameters
 from atari_dqn.replay import ReplayMemory
-from atari_dqn.runs import project_root
+from atari_dqn.runs.files import project_root
 from atari_dqn.training import prepare_process
 
 BATCH, SAMPLES = 32, 200

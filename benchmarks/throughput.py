@@ -25,12 +25,12 @@ from ale_py import roms
 from torch import nn
 from workload import BATCH, UPDATE_PERIOD
 
-from atari_dqn import plots
 from atari_dqn.agents import AGENTS
-from atari_dqn.cost import OURS, best_setups, draw_throughput
 from atari_dqn.envs import ALEInterface
-from atari_dqn.recording import processor
-from atari_dqn.runs import project_root
+from atari_dqn.report import plots
+from atari_dqn.report.cost import OURS, best_setups, draw_throughput
+from atari_dqn.runs.files import project_root
+from atari_dqn.runs.recorder import processor
 from atari_dqn.training import prepare_process
 
 HERE = Path(__file__).parent

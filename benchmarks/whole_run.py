@@ -21,9 +21,10 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from atari_dqn import checkpoints, params, recording
+from atari_dqn import params
 from atari_dqn.params import Parameters
-from atari_dqn.runs import project_root
+from atari_dqn.runs import checkpoints, recorder
+from atari_dqn.runs.files import project_root
 from atari_dqn.training import Trainer, prepare_process
 
 WARM_UP = 800  # agent steps that are not timed
@@ -78,8 +79,8 @@ def train(
         "steps_per_second": round(speed, 1),
         "checkpoint_seconds": round(seconds, 2),
         "checkpoint_megabytes": round(sum(f.stat().st_size for f in newest.iterdir()) / 1e6, 1),
-        "checkpoint_share_of_time": round(seconds / (recording.CHECKPOINT_SECONDS + seconds), 4),
-        "resident_megabytes": round(recording.peak_memory() / 1e6, 1),
+        "checkpoint_share_of_time": round(seconds / (recorder.CHECKPOINT_SECONDS + seconds), 4),
+        "resident_megabytes": round(recorder.peak_memory() / 1e6, 1),
     }
 
 
@@ -97,7 +98,7 @@ def resume(parameters: Parameters, folder: Path) -> dict[str, float]:
     next(trainer.run())
     return {
         "load_seconds": round(loading, 2),
-        "resident_megabytes": round(recording.peak_memory() / 1e6, 1),
+        "resident_megabytes": round(recorder.peak_memory() / 1e6, 1),
     }
 
 

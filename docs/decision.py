@@ -9,9 +9,11 @@ from pathlib import Path
 import numpy as np
 from matplotlib import pyplot as plt
 
-from atari_dqn import evaluation, params, plots
+from atari_dqn import evaluation, params
 from atari_dqn.envs import AtariGame
 from atari_dqn.evaluation import q_of
+from atari_dqn.report import plots
+from atari_dqn.runs.models import load_model
 
 STEPS = 300  # agent steps into the game
 
@@ -19,7 +21,7 @@ STEPS = 300  # agent steps into the game
 def main(folder: Path, model: str) -> None:
     values = params.read_values(folder / "params.yaml")
     parameters = params.parse(values, str(folder / "params.yaml"))
-    network = evaluation.load_model(folder / model, parameters)
+    network = load_model(folder / model, parameters)
     game = evaluation.game_of(parameters)
     images = [game.reset(seed=1)[0].reshape(-1)] * parameters.frame_stack
     for _ in range(STEPS):

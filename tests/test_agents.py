@@ -3,11 +3,14 @@ import pytest
 import torch
 from torch import nn
 
-from atari_dqn.agents import AGENTS, Learner, double_q_learning, learning_rate, q_learning
+from atari_dqn.agents import AGENTS, Agent, Learner, double_q_learning, q_learning
 from atari_dqn.native import NativeLearner
 from atari_dqn.networks import FEATURES, DuelingNetwork, NatureNetwork
-from atari_dqn.params import ParameterError
+from atari_dqn.params import ParameterError, title
 from atari_dqn.replay import Batch
+from atari_dqn.runs import recorder
+from atari_dqn.runs.run import Run, read_table
+from atari_dqn.schedules import learning_rate
 
 # Q-values of two next states, three actions; the networks disagree about the best one.
 TARGET = torch.tensor([[1.0, 5.0, 2.0], [4.0, 0.0, -1.0]])
@@ -256,3 +259,18 @@ def test_the_learning_rate_warms_up_over_finished_games(small):
     rates = [learning_rate(parameters, games) for games in (0, 100, 200, 5000)]
     assert rates == pytest.approx([1e-6, 5.5e-6, 1e-5, 1e-5])
     assert learning_rate(small(), 0) == small().learning_rate
+
+
+def test_a_fourth_agent_is_a_name_an_entry_and_a_function(tmp_path, small, monkeypatch):
+    """The mean of the next state's values, in place of the greatest, trains and is evaluated."""
+
+    def mean_learning(batch, online, target_network):
+        return batch.r_t + batch.discount_t * target_network(batch.s_t).mean(dim=1)
+
+    monkeypatch.setattr("atari_dqn.params.AGENT_NAMES", (*AGENTS, "mean_dqn"))
+    monkeypatch.setitem(AGENTS, "mean_dqn", Agent(NatureNetwork, mean_learning))
+    run = Run(small(agents=["mean_dqn"], learner="torch"), tmp_path)
+    recorder.train(run)
+    assert run.state() == "complete"
+    assert len(read_table([run], "evaluations.csv")) == 2
+    assert title("mean_dqn") == "Mean DQN"

@@ -6,8 +6,8 @@ import sys
 import numpy as np
 import pytest
 
-from atari_dqn import checkpoints
-from atari_dqn.checkpoints import CheckpointError
+from atari_dqn.runs import checkpoints
+from atari_dqn.runs.checkpoints import CheckpointError
 
 STATE = {
     "number": 3,
@@ -133,7 +133,7 @@ FULL_DISK = """
 import resource, signal, sys
 from pathlib import Path
 import numpy as np
-from atari_dqn import checkpoints
+from atari_dqn.runs import checkpoints
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))
 state = {"array": np.zeros(int(sys.argv[2])), "chunks": [bytes(int(sys.argv[3]))]}

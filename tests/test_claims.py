@@ -8,18 +8,18 @@ import pandas as pd
 import pytest
 from scipy import stats
 
-from atari_dqn import claims, params, runs, summaries, verdicts
+from atari_dqn import params
+from atari_dqn.analysis import claims, summaries, verdicts
+from atari_dqn.analysis.study import Study
 from atari_dqn.params import TRAINING_VERSION
-from atari_dqn.sections import Study
+from atari_dqn.runs.run import Run
 
 ROOT = Path(__file__).parents[1]
 
 
 def store(results, experiment, agent, scores):
     """A run's folder with the given scores, as training would leave it."""
-    run = runs.Run(
-        params.pick(params.load(ROOT / "params" / f"{experiment}.yaml"), agent, 1), results
-    )
+    run = Run(params.pick(params.load(ROOT / "params" / f"{experiment}.yaml"), agent, 1), results)
     run.folder.mkdir(parents=True, exist_ok=True)
     games = np.arange(1, len(scores) + 1)
     table = pd.DataFrame({"episode": games, "frames": games * 7000, "score": scores})

@@ -6,8 +6,11 @@ import pytest
 import torch
 from torch import nn
 
-from atari_dqn import design, experiments, params, sections
+from atari_dqn import params
+from atari_dqn.analysis import study
 from atari_dqn.params import Parameters
+from atari_dqn.report import design
+from atari_dqn.runs import plan
 
 ROOT = Path(__file__).parents[1]
 
@@ -36,14 +39,14 @@ def test_images_of_real_games_are_much_smaller_compressed():
 
 
 def test_every_decision_names_a_parameter_or_a_file_that_exists():
-    for entry in sections.data("deviations"):
+    for entry in study.data("deviations"):
         for where in entry["where"].split(", "):
             assert where in Parameters.model_fields or (ROOT / where).is_file(), where
         assert all(entry[key].strip() for key in ("what", "source", "why"))
 
 
 def test_differences_list_what_an_experiment_changes_and_nothing_else():
-    loaded = [params.load(path) for path in experiments.files("full")]
+    loaded = [params.load(path) for path in plan.files("full")]
     table = design.differences(loaded).set_index("experiment")["what differs"]
     assert table["`boxing_final`"] == "–"
     assert table["`boxing_expert`"] == "`difficulty` 3"

@@ -2,7 +2,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from atari_dqn import evaluation, recording
+from atari_dqn import evaluation
 from atari_dqn.agents import AGENTS
 from atari_dqn.envs import AtariGame, game_of
 from atari_dqn.evaluation import (
@@ -13,8 +13,9 @@ from atari_dqn.evaluation import (
     play,
     player_of,
 )
-from atari_dqn.exploration import epsilon_greedy
-from atari_dqn.runs import Run
+from atari_dqn.runs import recorder
+from atari_dqn.runs.run import Run
+from atari_dqn.schedules import epsilon_greedy
 
 
 def test_discounted_returns_are_sums_to_the_games_end():
@@ -185,7 +186,7 @@ def test_a_finished_run_is_evaluated_as_trained_and_under_the_conditions_it_asks
 ):
     asked = {"evaluation_difficulties": [0, 1], "evaluation_stickiness": [0.25]}
     run = Run(small(difficulty=1, episodes=2, max_game_frames=100, **asked), tmp_path)
-    recording.train(run)
+    recorder.train(run)
     table = pd.read_csv(run.folder / "evaluations.csv")
     played = table.groupby(["difficulty", "sticky_actions"]).size().to_dict()
     assert played == {(1, 0.0): 2, (0, 0.0): 2, (1, 0.25): 2}

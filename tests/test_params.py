@@ -4,11 +4,12 @@ from pathlib import Path
 import pytest
 from ruamel.yaml import YAML
 
-from atari_dqn import experiments, params
+from atari_dqn import params
 from atari_dqn.params import ParameterError, Parameters
+from atari_dqn.runs import plan
 
 ROOT = Path(__file__).parents[1]
-FILES = [path for profile in params.PROFILES for path in experiments.files(profile)]
+FILES = [path for profile in params.PROFILES for path in plan.files(profile)]
 # What only some experiments need to name.
 RARE = {
     *("device", "learner", "warmup_games", "warmup_learning_rate", "variations"),
@@ -25,14 +26,14 @@ def write(folder, text, name="mine.yaml"):
 
 @pytest.mark.parametrize("profile", params.PROFILES)
 def test_every_experiment_has_a_file_of_every_profile(profile):
-    files = experiments.files(profile)
-    assert [path.stem for path in files] == list(experiments.ORDER)
+    files = plan.files(profile)
+    assert [path.stem for path in files] == list(plan.ORDER)
     for path in files:
         assert params.load(path).profile == profile
 
 
 def test_the_full_files_name_every_training_parameter():
-    for path in experiments.files("full"):
+    for path in plan.files("full"):
         missing = set(Parameters.model_fields) - set(params.read_values(path))
         assert missing <= RARE, path
 
@@ -50,7 +51,7 @@ def test_small_versions_say_only_how_they_are_smaller():
         *("warmup_games", "snapshot_games", "evaluation_games", "variations"),
     }
     for profile in ("quick", "smoke"):
-        for path in experiments.files(profile):
+        for path in plan.files(profile):
             full = params.load(ROOT / "params" / path.name)
             small = params.load(path)
             own = YAML(typ="safe", pure=True).load(path.read_text())
@@ -70,8 +71,12 @@ def test_small_versions_say_only_how_they_are_smaller():
         ("gamma: 1.0", "gamma: 1.0 is not allowed: input should be less than 1"),
         ("learning_rate: fast", "learning_rate: 'fast' is not allowed"),
         ("learning_rate: .nan", "learning_rate: nan is not allowed"),
-        ("game: pong", "game: 'pong' is not allowed: input should be 'boxing' or 'breakout'"),
-        ("agents: [dqn, ddqn]", "agents.1: 'ddqn' is not allowed"),
+        ("game: brekaout", "game: 'brekaout' is not allowed: no such game; did you mean 'brea"),
+        ("game: chess", "no such game; must be one of alien, amidar, "),
+        (
+            "agents: [dqn, ddqn]",
+            "'ddqn' is not allowed: no such agent; did you mean 'dqn'?",
+        ),
         ("agents: [dqn, dqn]", "no value may be listed twice"),
         ("seeds: [-1]", "seeds.0: -1 is not allowed"),
         ("game: breakout\ndifficulty: 3", "difficulty: 3 is not allowed: breakout has (0, 1)"),

@@ -9,12 +9,13 @@ import pandas as pd
 import pytest
 from conftest import SMALL
 
-from atari_dqn import __main__, evaluation, recording, records, runs
-from atari_dqn.audit import Difference, verify
+from atari_dqn import __main__, evaluation
 from atari_dqn.envs import AtariGame, GameRecord, game_of
 from atari_dqn.params import Parameters
-from atari_dqn.records import RecordError
-from atari_dqn.runs import Run
+from atari_dqn.runs import evaluations, recorder, records
+from atari_dqn.runs.audit import Difference, verify
+from atari_dqn.runs.records import RecordError
+from atari_dqn.runs.run import Run
 
 
 @pytest.mark.parametrize("sticky", [0.0, 0.25])
@@ -132,7 +133,7 @@ def trained(tmp_path_factory):
         patch.setenv("ATARI_DQN_STATE", str(folder / "state"))
         for name, value in SHORT.items():
             patch.setattr(evaluation, name, value)
-        recording.train(run)
+        recorder.train(run)
     return run
 
 
@@ -156,8 +157,8 @@ def test_a_run_agrees_with_its_records(run):
 
 
 def test_what_is_evaluated_later_is_on_record_too(run):
-    runs.evaluate(run, {"difficulty": 2}, games=3)
-    runs.evaluate(run, {"difficulty": 2}, games=3)
+    evaluations.evaluate(run, {"difficulty": 2}, games=3)
+    evaluations.evaluate(run, {"difficulty": 2}, games=3)
     kinds = [(h["kind"], h.get("difficulty")) for h, _ in records.read_file(run)]
     assert kinds.count(("evaluation", 2)) == 3
     assert len(list(verify(run, None))) == 5 + 4 + 3 + 2
@@ -167,24 +168,24 @@ def test_evaluations_stay_on_record_when_a_run_goes_on(tmp_path, small):
     """Also those of a process that evaluates while another trains, and whose training was killed
     in the middle of a line."""
     run = Run(small(episodes=2), tmp_path)
-    recording.train(run)
-    runs.evaluate(run.folder, {"difficulty": 1}, games=1)
+    recorder.train(run)
+    evaluations.evaluate(run.folder, {"difficulty": 1}, games=1)
     longer = Run(small(episodes=4), tmp_path)
-    log = recording.Recorder.log
+    log = recorder.Recorder.log
 
     def evaluate_meanwhile(self, episode):
         log(self, episode)
         if episode.episode == 3:
-            runs.evaluate(run.folder, {"difficulty": 2}, games=1)
+            evaluations.evaluate(run.folder, {"difficulty": 2}, games=1)
             with (run.folder / records.FILE).open("ab") as file:
                 file.write(b"(\xb5/\xfd half a game")
             raise KeyboardInterrupt
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(recording.Recorder, "log", evaluate_meanwhile)
+        patch.setattr(recorder.Recorder, "log", evaluate_meanwhile)
         with pytest.raises(KeyboardInterrupt):
-            recording.train(longer)
-    recording.train(longer)
+            recorder.train(longer)
+    recorder.train(longer)
     kinds = [name.split()[0] for name in verify(run.folder, None)]
     assert (kinds.count("training"), kinds.count("evaluation")) == (4, 2 + 2 + 1 + 1)
 
@@ -350,7 +351,7 @@ def test_an_evaluation_is_not_played_for_a_damaged_file(run, monkeypatch):
     (run / records.FILE).write_bytes(data[:-5])
     monkeypatch.setattr(evaluation, "play", None)
     with pytest.raises(RecordError, match=rf"{run}/games.jsonl.zst is damaged after"):
-        runs.evaluate(run, {"difficulty": 1}, games=1)
+        evaluations.evaluate(run, {"difficulty": 1}, games=1)
 
 
 class Killed(BaseException):
@@ -366,7 +367,7 @@ def test_a_run_killed_between_two_writes_verifies_before_and_after_it_goes_on(
 ):
     """In the second game too, after which values are checked, or as its checkpoint is due."""
     run, calls = Run(small(episodes=2, max_game_frames=200, evaluation_games=1), tmp_path), []
-    write = getattr(recording.Recorder, method)
+    write = getattr(recorder.Recorder, method)
 
     def killed(self, *arguments):
         calls.append(arguments)
@@ -375,11 +376,11 @@ def test_a_run_killed_between_two_writes_verifies_before_and_after_it_goes_on(
         return write(self, *arguments)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(recording.Recorder, method, killed)
+        patch.setattr(recorder.Recorder, method, killed)
         with pytest.raises(Killed):
-            recording.train(run)
+            recorder.train(run)
     assert len(list(verify(run.folder, None))) <= 3
-    recording.train(run)
+    recorder.train(run)
     assert len(list(verify(run.folder, None))) == 2 + 1 + 1
 
 
@@ -396,12 +397,12 @@ def test_half_a_game_at_the_end_is_allowed_while_a_run_goes_on(run):
 def test_a_run_that_comes_back_from_its_checkpoint_verifies(tmp_path, small):
     """Evaluations are gone with its folder, from the tables and the records alike."""
     run = Run(small(episodes=1), tmp_path)
-    recording.train(run)
-    runs.evaluate(run.folder, {"difficulty": 1}, games=1)
+    recorder.train(run)
+    evaluations.evaluate(run.folder, {"difficulty": 1}, games=1)
     longer = Run(small(episodes=2), tmp_path)
-    recording.train(longer)
+    recorder.train(longer)
     shutil.rmtree(run.folder)
-    recording.train(longer)
+    recorder.train(longer)
     assert len(list(verify(run.folder, None))) == 2 + small().evaluation_games + 1
 
 

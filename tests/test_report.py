@@ -12,7 +12,11 @@ import nbformat
 import papermill
 import pytest
 
-from atari_dqn import clips, experiments, params, report, runs, sections
+from atari_dqn import params
+from atari_dqn.analysis.study import Section
+from atari_dqn.report import build, notebook, videos
+from atari_dqn.runs import plan
+from atari_dqn.runs.files import RunError, write_atomically
 
 ROOT = Path(__file__).parents[1]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
@@ -25,11 +29,11 @@ def test_a_snapshot_stays_as_it_was_while_training_goes_on(tmp_path, monkeypatch
         (folder / name).write_text("before")
     for linking in (True, False):
         if not linking:  # as between two file systems
-            monkeypatch.setattr(report.os, "link", Mock(side_effect=OSError))
-        snapshot = report._snapshot(tmp_path) / "runs" / "any" / "dqn" / "seed-1"
+            monkeypatch.setattr(build.os, "link", Mock(side_effect=OSError))
+        snapshot = build._snapshot(tmp_path) / "runs" / "any" / "dqn" / "seed-1"
         with (folder / "episodes.csv").open("a") as file:
             file.write(", after")
-        runs.write_atomically(folder / "model.safetensors", b"after")
+        write_atomically(folder / "model.safetensors", b"after")
         assert {path.name: path.read_text() for path in snapshot.iterdir()} == {
             "episodes.csv": "before",
             "model.safetensors": "before",
@@ -84,7 +88,7 @@ def test_an_unknown_parameter_of_the_notebook_names_the_nearest_one(tmp_path):
 
 def test_an_experiment_of_several_runs_is_refused_by_the_notebook_for_one():
     with pytest.raises(params.ParameterError, match="'boxing_sensitivity' is not allowed"):
-        sections.run_from_notebook({"experiment": "boxing_sensitivity", "profile": "smoke"})
+        notebook.run_from_notebook({"experiment": "boxing_sensitivity", "profile": "smoke"})
 
 
 @pytest.fixture(scope="module")
@@ -92,7 +96,7 @@ def built(tmp_path_factory):
     """A smoke report of all experiments, made from nothing."""
     folder = tmp_path_factory.mktemp("report")
     os.environ["ATARI_DQN_STATE"] = str(folder / "state")
-    return report.build("smoke", folder)
+    return build.build("smoke", folder)
 
 
 def test_the_report_has_every_section_and_every_experiment(built):
@@ -102,7 +106,7 @@ def test_the_report_has_every_section_and_every_experiment(built):
             continue
         title = nbformat.read(path, as_version=4).cells[0].source
         assert f'id="{re.search("{#(sec-[a-z-]+)}", title)[1]}"' in html, path
-    for name in experiments.ORDER:
+    for name in plan.ORDER:
         assert name in html
     assert "SMOKE RUN, NOT EVIDENCE" in html
     assert "runs complete" in html
@@ -113,9 +117,9 @@ def test_the_exploring_notebook_plays_a_stored_agent(built, tmp_path):
     parameters = {"profile": "smoke", "results_dir": str(built.parent)}
     played = execute(tmp_path / "out.ipynb", parameters, ROOT, "explore").cells[-1].outputs
     assert "difficulty" in played[-1].data["text/plain"]
-    empty = sections.Section("boxing_final", "smoke", str(tmp_path), ["dqn"], [77])
-    with pytest.raises(runs.RunError, match="no model is stored of boxing_final/dqn/seed-77"):
-        clips.newest(empty)
+    empty = Section("boxing_final", "smoke", str(tmp_path), ["dqn"], [77])
+    with pytest.raises(RunError, match="no model is stored of boxing_final/dqn/seed-77"):
+        videos.newest(empty)
 
 
 def test_figures_say_where_they_come_from_and_curves_show_their_values(built):
@@ -137,7 +141,7 @@ def test_a_section_is_executed_again_only_if_something_of_its_own_changed(built)
     cells[3] = "857"  # the score
     results.write_text(header + ",".join(cells) + "".join(rest))
     html = (built / "index.html").read_text()
-    report.build("smoke", built.parent)
+    build.build("smoke", built.parent)
     changed = {
         path.name
         for path in notebooks.glob("*.ipynb")
@@ -170,7 +174,7 @@ def test_every_figure_has_a_text_alternative(built):
 def test_rendering_again_gives_the_same_bytes(built):
     before = {name: (built / name).read_bytes() for name in ("index.html", "report.pdf")}
     (built.parent / "notebooks" / "07_results.inputs").unlink()  # which has figures and films
-    report.build("smoke", built.parent)
+    build.build("smoke", built.parent)
     assert {name: (built / name).read_bytes() for name in before} == before
 
 
@@ -184,8 +188,8 @@ def test_a_failing_section_is_named_and_the_last_report_stays(built, monkeypatch
     broken = tmp_path / "notebooks" / "08_boxing_expert.ipynb"
     broken.write_text(broken.read_text().replace("section.badge()", "section.no_such_thing()"))
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(runs.RunError, match=r"08_boxing_expert\.ipynb, cell 3: AttributeError"):
-        report.build("smoke", built.parent)
+    with pytest.raises(RunError, match=r"08_boxing_expert\.ipynb, cell 3: AttributeError"):
+        build.build("smoke", built.parent)
     assert (built / "index.html").read_bytes() == before
 
 

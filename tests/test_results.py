@@ -1,12 +1,17 @@
 """The tables that the report's sections share follow from the stored runs."""
 
+import shutil
+
 import numpy as np
 import pandas as pd
 import pytest
 from test_claims import store
 
-from atari_dqn import exhibits, results
-from atari_dqn.sections import Section
+from atari_dqn import params
+from atari_dqn.analysis.study import Section
+from atari_dqn.report import outputs, results
+from atari_dqn.runs import plan, recorder
+from atari_dqn.runs.files import project_root
 
 
 @pytest.fixture
@@ -24,12 +29,29 @@ def tables(monkeypatch):
 
 def test_missing_numbers_of_any_kind_are_dashes_and_numbers_stand_to_the_right(monkeypatch):
     said = []
-    monkeypatch.setattr(exhibits, "show_text", said.append)
+    monkeypatch.setattr(outputs, "show_text", said.append)
     table = pd.DataFrame({"agent": ["DQN", None], "score": [1.25, np.nan], "games": [3, pd.NA]})
-    exhibits.show_table(table.astype({"games": "Int64"}), "tbl-any", "A caption.", decimals=1)
+    outputs.show_table(table.astype({"games": "Int64"}), "tbl-any", "A caption.", decimals=1)
     rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in said[0].splitlines()[:4]]
     assert rows[2:] == [["DQN", "1.2", "3"], ["–", "–", "–"]]
     assert [cell.endswith(":") for cell in rows[1]] == [False, True, True]
+
+
+def test_any_game_of_the_emulator_goes_from_its_file_to_a_curve(tmp_path, monkeypatch, small):
+    (tmp_path / "pyproject.toml").touch()
+    (tmp_path / "params").mkdir()
+    pong = small(experiment="pong", profile="full", game="pong", agents=["dqn"])
+    params.dump(pong, tmp_path / "params" / "pong.yaml")
+    shutil.copytree(project_root() / "notebooks" / "data", tmp_path / "notebooks" / "data")
+    monkeypatch.chdir(tmp_path)
+    (run,) = plan.planned("full", ["pong"], None)
+    recorder.train(run)
+    figures = {}
+    monkeypatch.setattr(
+        results, "show_figure", lambda figure, label, caption, **_: figures.update({label: caption})
+    )
+    results.show_curves(Section("pong", "full"))
+    assert figures["fig-pong-curves"].startswith("Pong, `pong`: raw score while training")
 
 
 def test_transfer_is_measured_over_the_games_that_both_runs_have(tmp_path, tables):

@@ -15,8 +15,11 @@ import pytest
 from conftest import SMALL
 from safetensors.torch import load_file
 
-from atari_dqn import checkpoints, evaluation, params, recording, runs
-from atari_dqn.runs import Run, RunError
+from atari_dqn import evaluation, params
+from atari_dqn.runs import checkpoints, recorder
+from atari_dqn.runs.files import RunError
+from atari_dqn.runs.models import load_model
+from atari_dqn.runs.run import Run
 from atari_dqn.training import Episode, Trainer
 
 FILES = {
@@ -130,7 +133,7 @@ def test_evaluate_stores_games_beside_those_of_other_settings(finished, tmp_path
 def test_evaluation_games_do_not_depend_on_how_many_are_played_at_once(finished, monkeypatch):
     folder, _, _ = finished
     parameters = params.parse(params.read_values(folder / "params.yaml"), "stored")
-    network = evaluation.load_model(folder / "model.safetensors", parameters)
+    network = load_model(folder / "model.safetensors", parameters)
     player, played = evaluation.player_of(network, parameters), {}
     for emulators in (1, 3):
         monkeypatch.setattr(evaluation, "EMULATORS", emulators)
@@ -184,7 +187,7 @@ def test_raising_the_number_of_games_continues_a_finished_run(tmp_path, small):
         for episodes in lengths:
             run = Run(small(episodes=episodes), tmp_path / folder)
             os.environ["ATARI_DQN_STATE"] = str(tmp_path / folder / "state")
-            recording.train(run)
+            recorder.train(run)
         return run
 
     stepwise, at_once = trained("stepwise", 2, 5), trained("at_once", 5)
@@ -199,19 +202,19 @@ def test_raising_the_number_of_games_continues_a_finished_run(tmp_path, small):
 
 def test_a_run_that_no_longer_matches_is_stale_and_stays_untouched(tmp_path, small):
     run = Run(small(episodes=1), tmp_path)
-    recording.train(run)
+    recorder.train(run)
     other = Run(small(episodes=1, gamma=0.5), tmp_path)
     assert (run.state(), other.state()) == ("complete", "stale")
     before = (run.folder / "episodes.csv").read_bytes()
     with pytest.raises(RunError, match=r"no longer matches: gamma was 0\.99, now 0\.5"):
-        recording.train(other)
+        recorder.train(other)
     assert (run.folder / "episodes.csv").read_bytes() == before
 
 
 def test_a_run_of_another_training_version_is_stale(tmp_path, small, monkeypatch):
     run = Run(small(episodes=1), tmp_path)
-    recording.train(run)
-    monkeypatch.setattr(runs, "TRAINING_VERSION", 99)
+    recorder.train(run)
+    monkeypatch.setattr("atari_dqn.runs.run.TRAINING_VERSION", 99)
     assert run.state() == "stale"
 
 
@@ -224,7 +227,7 @@ def unstopped(tmp_path_factory):
     folder = tmp_path_factory.mktemp("unstopped")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("ATARI_DQN_STATE", str(folder / "state"))
-        recording.train(Run(STOPPED, folder))
+        recorder.train(Run(STOPPED, folder))
     return Run(STOPPED, folder).folder
 
 
@@ -232,9 +235,10 @@ def stop(run, how, interval, games=2):
     """Trains a run in a process of its own that checkpoints every `interval` seconds; sends it the
     signal `how` after so many games."""
     program = (
-        "import sys; from pathlib import Path; from atari_dqn import params, recording, runs;"
-        f"recording.CHECKPOINT_SECONDS = {interval};"
-        "recording.train(runs.Run(params.load(sys.argv[1]), Path(sys.argv[2])))"
+        "import sys; from pathlib import Path; from atari_dqn import params;"
+        "from atari_dqn.runs import recorder; from atari_dqn.runs.run import Run;"
+        f"recorder.CHECKPOINT_SECONDS = {interval};"
+        "recorder.train(Run(params.load(sys.argv[1]), Path(sys.argv[2])))"
     )
     run.results.mkdir()
     path = write(run.results, run.params)
@@ -261,7 +265,7 @@ def test_a_killed_run_continues_as_if_nothing_had_happened(tmp_path, unstopped, 
     provenance = json.loads((run.folder / "provenance.json").read_text())
     saved = checkpoints.load(run.state_folder)["trainer"]["agent_steps"]
     assert saved - 2 * STOPPED.environments <= provenance["agent_steps"] <= saved
-    recording.train(run)
+    recorder.train(run)
     assert_same_results(run.folder, unstopped)
 
 
@@ -276,7 +280,7 @@ class FullDisk(io.RawIOBase):
 def test_no_room_for_a_row_is_a_clear_error_and_the_run_continues_later(
     tmp_path, unstopped, monkeypatch
 ):
-    run, opened = Run(STOPPED, tmp_path / "full"), recording.Recorder.__init__
+    run, opened = Run(STOPPED, tmp_path / "full"), recorder.Recorder.__init__
 
     def open_on_a_full_disk(self, run):
         opened(self, run)
@@ -284,11 +288,11 @@ def test_no_room_for_a_row_is_a_clear_error_and_the_run_continues_later(
         self.files["episodes.csv"] = io.BufferedWriter(FullDisk())
 
     with monkeypatch.context() as patch:
-        patch.setattr(recording.Recorder, "__init__", open_on_a_full_disk)
+        patch.setattr(recorder.Recorder, "__init__", open_on_a_full_disk)
         with pytest.raises(RunError, match=r"cannot write .*episodes.csv: No space left"):
-            recording.train(run)
+            recorder.train(run)
     assert run.status()["state"] == "failed"
-    recording.train(run)
+    recorder.train(run)
     assert_same_results(run.folder, unstopped)
 
 
@@ -300,7 +304,7 @@ def test_a_run_told_to_stop_saves_where_it_is_and_says_so(tmp_path, unstopped, h
     assert status["state"] == "interrupted"
     assert saved["episodes"] == status["episodes_done"] >= 2, "the first checkpoint holds none"
     assert saved["trainer"]["agent_steps"] > 0
-    recording.train(run)
+    recorder.train(run)
     assert_same_results(run.folder, unstopped)
 
 
@@ -319,14 +323,14 @@ def test_value_checks_and_snapshots_are_the_same_after_a_stop_and_a_crash(
         return {path.name: path.read_bytes() for path in paths}
 
     whole, run = Run(parameters, tmp_path / "whole"), Run(parameters, tmp_path / "resumed")
-    recording.train(whole)
+    recorder.train(whole)
     monkeypatch.setenv("ATARI_DQN_STATE", str(tmp_path / "resumed" / "state"))
     with pytest.raises(KeyboardInterrupt):
-        recording.train(run, asked_to_stop=lambda: run.status()["episodes_done"] == 3)
+        recorder.train(run, asked_to_stop=lambda: run.status()["episodes_done"] == 3)
     with pytest.raises(ZeroDivisionError):  # the checks after the checkpoint are made again
-        recording.train(run, asked_to_stop=lambda: 1 / (5 - run.status()["episodes_done"]) < 0)
+        recorder.train(run, asked_to_stop=lambda: 1 / (5 - run.status()["episodes_done"]) < 0)
     assert pd.read_csv(run.folder / "values.csv").episode.tolist() == [2, 4]
-    recording.train(run)
+    recorder.train(run)
     assert pd.read_csv(run.folder / "values.csv").episode.tolist() == [2, 4, 6]
     names = [f"games-{games:05d}.safetensors" for games in (1, 4, 5)]
     assert list(outputs(run)) == ["values.csv", *names]
@@ -335,18 +339,18 @@ def test_value_checks_and_snapshots_are_the_same_after_a_stop_and_a_crash(
 
 def test_games_without_their_checkpoint_are_not_overwritten(tmp_path, small):
     run = Run(small(episodes=2), tmp_path)
-    recording.train(run)
+    recorder.train(run)
     shutil.rmtree(run.state_folder)
     before = (run.folder / "episodes.csv").read_bytes()
     with pytest.raises(RunError, match="holds 2 games, but their checkpoint is not in"):
-        recording.train(Run(small(episodes=4), tmp_path))
+        recorder.train(Run(small(episodes=4), tmp_path))
     assert (run.folder / "episodes.csv").read_bytes() == before
 
 
 def test_anew_keeps_what_cannot_be_continued_and_moves_nothing_else(tmp_path, small):
     run, longer = Run(small(episodes=2), tmp_path), Run(small(episodes=4), tmp_path)
     assert run.set_aside() is None, "missing"
-    recording.train(run)
+    recorder.train(run)
     before = (run.folder / "episodes.csv").read_bytes()
     assert run.set_aside() is None, "complete"
     assert longer.set_aside() is None, "can be continued"
@@ -354,20 +358,20 @@ def test_anew_keeps_what_cannot_be_continued_and_moves_nothing_else(tmp_path, sm
     aside = longer.set_aside()
     assert aside == run.folder.with_name("seed-1.aside-1")
     assert (aside / "episodes.csv").read_bytes() == before
-    recording.train(longer)
+    recorder.train(longer)
     assert (run.folder / "episodes.csv").read_bytes().startswith(before)
     assert Run(small(gamma=0.5), tmp_path).set_aside().name == "seed-1.aside-2", "stale"
 
 
 def test_anew_begins_again_though_a_checkpoint_of_the_same_settings_is_left(tmp_path, small):
     first, other = Run(small(episodes=1), tmp_path), Run(small(episodes=1, gamma=0.5), tmp_path)
-    recording.train(first)
+    recorder.train(first)
     other.set_aside()
-    recording.train(other)
+    recorder.train(other)
     with pytest.raises(RunError, match="--anew"):
-        recording.train(first)
+        recorder.train(first)
     assert first.set_aside().name == "seed-1.aside-2"
-    recording.train(first)
+    recorder.train(first)
     assert first.state() == "complete"
     assert json.loads((first.folder / "provenance.json").read_text())["resumes"] == 0
     kept = first.state_folder.with_name(f"{first.state_folder.name}.aside-1")
@@ -376,36 +380,36 @@ def test_anew_begins_again_though_a_checkpoint_of_the_same_settings_is_left(tmp_
 
 def test_anew_begins_again_when_every_checkpoint_is_damaged(tmp_path, small):
     run = Run(small(episodes=1), tmp_path)
-    recording.train(run)
+    recorder.train(run)
     for checkpoint in run.state_folder.glob("checkpoint-*"):
         checkpoint.rename(checkpoint.with_name(checkpoint.name.replace("checkpoint", "damaged")))
     longer = Run(small(episodes=2), tmp_path)
     with pytest.raises(checkpoints.CheckpointError, match="damaged"):
-        recording.train(longer)
+        recorder.train(longer)
     assert longer.set_aside().name == "seed-1.aside-1"
-    recording.train(longer)
+    recorder.train(longer)
     assert longer.state() == "complete"
 
 
 def test_anew_begins_again_when_neither_a_status_nor_a_checkpoint_is_left(tmp_path, small):
     run = Run(small(episodes=1), tmp_path)
-    recording.train(run)
+    recorder.train(run)
     (run.folder / "status.json").unlink()
     shutil.rmtree(run.state_folder)
     with pytest.raises(RunError, match="--anew"):
-        recording.train(run)
+        recorder.train(run)
     assert (run.set_aside() / "episodes.csv").exists()
-    recording.train(run)
+    recorder.train(run)
     assert run.state() == "complete"
 
 
 def test_a_run_whose_folder_was_lost_comes_back_whole_from_its_checkpoint(tmp_path, small):
     run = Run(small(episodes=2, snapshot_games=[1]), tmp_path)
-    recording.train(run)
+    recorder.train(run)
     names = ("episodes.csv", "evaluations.csv", "model.safetensors")
     before = {name: (run.folder / name).read_bytes() for name in names}
     shutil.rmtree(run.folder)
-    recording.train(run)
+    recorder.train(run)
     assert {name: (run.folder / name).read_bytes() for name in names} == before
     assert (run.folder / "snapshots" / "games-00001.safetensors").exists()
 
@@ -413,31 +417,31 @@ def test_a_run_whose_folder_was_lost_comes_back_whole_from_its_checkpoint(tmp_pa
 def test_a_resume_that_may_give_other_bits_is_told(tmp_path, small, monkeypatch):
     """PyTorch's depend on the processor, the native learner's do not."""
     run = Run(small(episodes=1, learner="torch"), tmp_path)
-    recording.train(run)
-    monkeypatch.setattr(recording, "processor", lambda: "another one")
+    recorder.train(run)
+    monkeypatch.setattr(recorder, "processor", lambda: "another one")
     with pytest.warns(UserWarning, match="goes on with another one"):
-        recording.train(Run(small(episodes=2, learner="torch"), tmp_path))
+        recorder.train(Run(small(episodes=2, learner="torch"), tmp_path))
     with pytest.warns(UserWarning, match="began with learner torch and goes on with native"):
-        recording.train(Run(small(episodes=3), tmp_path))
+        recorder.train(Run(small(episodes=3), tmp_path))
 
 
 def test_a_native_run_may_go_on_on_another_processor(tmp_path, small, monkeypatch):
-    recording.train(Run(small(episodes=1), tmp_path))
-    monkeypatch.setattr(recording, "processor", lambda: "another one")
-    recording.train(Run(small(episodes=2), tmp_path))  # a warning would be an error
+    recorder.train(Run(small(episodes=1), tmp_path))
+    monkeypatch.setattr(recorder, "processor", lambda: "another one")
+    recorder.train(Run(small(episodes=2), tmp_path))  # a warning would be an error
 
 
 def test_a_run_is_not_trained_by_two_processes_at_once(tmp_path, small):
     run = Run(small(), tmp_path)
     with run.lock(), pytest.raises(RunError, match="being trained by another process"):
-        recording.train(run)
+        recorder.train(run)
 
 
 def test_a_failing_run_says_so_in_its_status(tmp_path, small, monkeypatch):
     run = Run(small(), tmp_path)
     monkeypatch.setattr(Trainer, "_learn", lambda self: 1 / 0)
     with pytest.raises(ZeroDivisionError):
-        recording.train(run)
+        recorder.train(run)
     assert run.state() == "failed"
     assert "ZeroDivisionError" in run.status()["error"]
 
@@ -446,7 +450,7 @@ def test_a_failing_run_says_so_in_its_status(tmp_path, small, monkeypatch):
 @pytest.mark.parametrize("damage", [None, "{<<<<<<< conflict"])
 def test_a_damaged_run_is_named_and_comes_back_from_its_checkpoint(tmp_path, small, name, damage):
     run = Run(small(episodes=1), tmp_path)
-    recording.train(run)
+    recorder.train(run)
     games, path = (run.folder / "episodes.csv").read_bytes(), run.folder / name
     if damage is None and name == "status.json":
         path.unlink()
@@ -456,7 +460,7 @@ def test_a_damaged_run_is_named_and_comes_back_from_its_checkpoint(tmp_path, sma
         with pytest.raises(RunError, match=rf"{name} is missing or damaged .*restore it, or move"):
             run.state()
         shutil.move(run.folder, tmp_path / "away")
-    recording.train(run)
+    recorder.train(run)
     assert run.state() == "complete"
     assert (run.folder / "episodes.csv").read_bytes() == games
 
@@ -464,21 +468,21 @@ def test_a_damaged_run_is_named_and_comes_back_from_its_checkpoint(tmp_path, sma
 def test_a_run_too_short_to_learn_anything_says_so(tmp_path, small):
     run = Run(small(learning_starts=10_000, episodes=1), tmp_path)
     with pytest.warns(UserWarning, match="has learned nothing: its 1 games are .* 10,000"):
-        recording.train(run)
+        recorder.train(run)
 
 
 def test_a_gpu_that_is_not_there_is_refused_in_one_line(tmp_path, small, monkeypatch):
     monkeypatch.setattr("torch.cuda.is_available", lambda: False)
     with pytest.raises(params.ParameterError, match="device: 'cuda' is not allowed"):
-        recording.train(Run(small(device="cuda"), tmp_path))
+        recorder.train(Run(small(device="cuda"), tmp_path))
 
 
 def test_a_transfer_run_starts_from_the_finished_model_it_names(tmp_path, small):
     transfer = small(experiment="transfer", game="breakout", initial_weights="small", episodes=1)
     run = Run(transfer, tmp_path)
     with pytest.raises(RunError, match="starts from small/double_dqn/seed-1, which"):
-        recording.train(run)
+        recorder.train(run)
     assert not (run.folder / "episodes.csv").exists()
-    recording.train(Run(small(episodes=1), tmp_path))
-    recording.train(run)
+    recorder.train(Run(small(episodes=1), tmp_path))
+    recorder.train(run)
     assert run.state() == "complete"

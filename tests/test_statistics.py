@@ -3,8 +3,8 @@ import pandas as pd
 import pytest
 from scipy import stats
 
-from atari_dqn import statistics
-from atari_dqn.statistics import interval, scores_at_marks, trailing_mean
+from atari_dqn.analysis import statistics
+from atari_dqn.analysis.statistics import interval, scores_at_marks, trailing_mean
 
 
 def test_a_trailing_mean_is_of_the_last_games_and_waits_for_enough():

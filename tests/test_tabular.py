@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from atari_dqn import tabular
-from atari_dqn.tabular import COLUMNS, GOAL, ROWS, SHORTEST, START, Transition
+from atari_dqn.report import tabular
+from atari_dqn.report.tabular import COLUMNS, GOAL, ROWS, SHORTEST, START, Transition
 
 
 def to_the_goal(cell):

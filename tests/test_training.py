@@ -9,10 +9,11 @@ import pytest
 import torch
 from conftest import SMALL
 
-from atari_dqn import checkpoints, training
+from atari_dqn import training
 from atari_dqn.agents import AGENTS
-from atari_dqn.exploration import epsilon_greedy
 from atari_dqn.params import Parameters
+from atari_dqn.runs import checkpoints
+from atari_dqn.schedules import epsilon_greedy
 from atari_dqn.training import Trainer
 
 

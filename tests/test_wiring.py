@@ -11,15 +11,17 @@ import torch
 from conftest import SMALL
 from safetensors.torch import load_file
 
-from atari_dqn import evaluation, recording, runs, training
+from atari_dqn import evaluation, training
 from atari_dqn.agents import AGENTS
 from atari_dqn.envs import AtariGame, GameRecord, LockstepGames
-from atari_dqn.evaluation import load_model, player_of, read_model
-from atari_dqn.exploration import epsilon_greedy
+from atari_dqn.evaluation import player_of
 from atari_dqn.native import new_learner
 from atari_dqn.params import Parameters
 from atari_dqn.replay import Batch
-from atari_dqn.runs import Run, runs_of
+from atari_dqn.runs import evaluations, models, recorder
+from atari_dqn.runs.models import load_model, read_model
+from atari_dqn.runs.run import Run, read_table, runs_of
+from atari_dqn.schedules import epsilon_greedy
 from atari_dqn.training import Episode, Trainer
 
 CASES = {}  # {parameters: check}; a check takes `make`, and what it makes differs in these alone
@@ -288,7 +290,7 @@ def _(make, monkeypatch, folder):
     changes = {"evaluation_games": 1, "evaluation_epsilon": 0.25, "episodes": 1, "environments": 1}
     beside = {"evaluation_difficulties": [2], "evaluation_stickiness": [0.5]}
     run = Run(Parameters(**{**SMALL, **changes, **beside}), folder)
-    recording.train(run)
+    recorder.train(run)
     played = pd.read_csv(run.folder / "evaluations.csv")
     assert played.groupby(["difficulty", "sticky_actions"]).size().to_dict() == {
         **{(0, 0.0): 1, (0, 0.5): 1},
@@ -301,7 +303,7 @@ def _(make, monkeypatch, folder):
 def _(make, monkeypatch, folder):
     changes = {"snapshot_games": [2], "episodes": 3, "environments": 1, "evaluation_games": 1}
     run = Run(Parameters(**{**SMALL, **changes}), folder)
-    recording.train(run)
+    recorder.train(run)
     assert [path.name for path in run.folder.glob("snapshots/*")] == ["games-00002.safetensors"]
     assert len(pd.read_csv(run.folder / "episodes.csv")) == 3
 
@@ -405,7 +407,7 @@ def learns_like(learner):
 
 def recorder_of(run):
     run.folder.mkdir(parents=True)
-    return recording.Recorder(run)
+    return recorder.Recorder(run)
 
 
 def test_an_experiment_has_a_run_of_every_agent_and_seed(small, tmp_path):
@@ -484,7 +486,7 @@ def watched(tmp_path_factory):
     settings = {"agents": ["dueling_double_dqn"], "seeds": [3], "episodes": 4}
     settings |= {"snapshot_games": [2], "target_update_period": 1000, "evaluation_epsilon": 0.25}
     seen.run = Run(Parameters(**{**SMALL, **settings}), folder)
-    log, play = recording.Recorder.log, evaluation.play
+    log, play = recorder.Recorder.log, evaluation.play
 
     def watch(recorder, episode):
         seen.weights[episode.episode] = recorder.trainer.learner.weights()  # a copy
@@ -499,9 +501,9 @@ def watched(tmp_path_factory):
         patch.setenv("ATARI_DQN_STATE", str(folder / "state"))
         for name, value in SEEN.items():
             patch.setattr(evaluation, name, value)
-        patch.setattr(recording.Recorder, "log", watch)
+        patch.setattr(recorder.Recorder, "log", watch)
         patch.setattr(evaluation, "play", watch_play)
-        recording.train(seen.run)
+        recorder.train(seen.run)
     return seen
 
 
@@ -510,9 +512,9 @@ def published(run):
 
 
 def test_snapshots_and_the_model_are_the_online_network_after_their_games(watched):
-    models = watched.run.models()
-    assert list(models) == [2, 4]
-    for games, path in models.items():
+    paths = models.stored(watched.run)
+    assert list(paths) == [2, 4]
+    for games, path in paths.items():
         stored = load_file(path)
         for name, weight in watched.weights[games].items():
             assert torch.equal(stored[name], weight.half()), (games, name)
@@ -559,7 +561,7 @@ def test_evaluations_are_the_games_of_the_runs_own_seed(watched):
 def test_a_later_evaluation_keeps_the_runs_seed_and_changes_what_it_is_told(watched, tmp_path):
     shutil.copytree(watched.run.folder, tmp_path / "seed-3")
     changes = {"difficulty": 2, "sticky_actions": 0.5, "evaluation_epsilon": 0.75}
-    returned = runs.evaluate(tmp_path / "seed-3", changes, games=1)
+    returned = evaluations.evaluate(tmp_path / "seed-3", changes, games=1)
     parameters = watched.run.params.model_copy(update=changes)
     played = rows_of(evaluation.play(published(watched.run), parameters, 1, seed=3))
     pd.testing.assert_frame_equal(returned[list(played)], played, check_exact=True)
@@ -568,7 +570,7 @@ def test_a_later_evaluation_keeps_the_runs_seed_and_changes_what_it_is_told(watc
 
 
 def test_tables_are_read_with_the_names_of_their_run(watched):
-    table = runs.read_table([watched.run], "episodes.csv")
+    table = read_table([watched.run], "episodes.csv")
     for column, name in {"experiment": "small", "agent": "dueling_double_dqn", "seed": 3}.items():
         assert set(table[column]) == {name}
 
@@ -596,7 +598,7 @@ def test_a_transfer_run_starts_from_the_model_of_the_same_agent_and_seed(watched
 def test_time_is_logged_by_both_clocks_and_goes_on_after_a_stop(small, tmp_path, monkeypatch):
     clocks = SimpleNamespace(wall=1000.0, cpu=50.0)
     monkeypatch.setattr(
-        recording,
+        recorder,
         "time",
         SimpleNamespace(monotonic=lambda: clocks.wall, process_time=lambda: clocks.cpu),
     )
@@ -611,7 +613,7 @@ def test_time_is_logged_by_both_clocks_and_goes_on_after_a_stop(small, tmp_path,
     run = Run(small(environments=1), tmp_path)
     log(recorder_of(run), 1)
     clocks.wall, clocks.cpu = 30.0, 2.0  # another process, on a machine that started anew
-    log(recording.Recorder(run), 2)
+    log(recorder.Recorder(run), 2)
     timing = pd.read_csv(run.folder / "timing.csv")
     assert timing.to_dict("list") == {
         "episode": [1, 2],

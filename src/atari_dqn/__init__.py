@@ -1,4 +1,6 @@
 """Deep Q-Networks on Atari Boxing and Breakout: a reproducible study.
 
-Modules import only downwards, from `__main__` to `params`; `diagrams.project_files` draws them.
+Four floors, each of which imports only from itself and from those below: the report (`report`), the
+numbers behind it (`analysis`), the folders of runs (`runs`), and the agents, which are the modules
+of this folder.
 """

@@ -12,12 +12,15 @@ import typer
 from tabulate import tabulate
 from tqdm import tqdm
 
-from atari_dqn import audit, experiments, params, recording, records, runs
-from atari_dqn.audit import Difference
-from atari_dqn.checkpoints import CheckpointError
+from atari_dqn import params
 from atari_dqn.params import ParameterError
-from atari_dqn.records import RecordError
-from atari_dqn.runs import Run, RunError
+from atari_dqn.runs import audit, evaluations, plan, recorder, records
+from atari_dqn.runs.audit import Difference
+from atari_dqn.runs.checkpoints import CheckpointError
+from atari_dqn.runs.files import RunError, results_folder, write_atomically
+from atari_dqn.runs.records import RecordError
+from atari_dqn.runs.run import Run, runs_of
+from atari_dqn.runs.scheduler import train_all
 
 app = typer.Typer(
     help="Train, evaluate and report on Deep Q-Networks that play Atari Boxing and Breakout.",
@@ -84,11 +87,11 @@ def train(
     """
     overrides = params.parse_overrides(set_ or [])
     chosen = params.pick(params.load(params_file, overrides), agent, seed)
-    wanted = runs.runs_of(chosen, runs.results_folder(chosen.profile, results))
+    wanted = runs_of(chosen, results_folder(chosen.profile, results))
     _set_aside(wanted if anew else [])
     with _interruptible():
         for run in wanted:
-            print(recording.train(run))
+            print(recorder.train(run))
 
 
 @app.command()
@@ -114,11 +117,11 @@ def evaluate(
     }
     given = {key: value for key, value in chosen.items() if value is not None}
     _writable(video)
-    played = runs.evaluate(run_dir, given, games)
+    played = evaluations.evaluate(run_dir, given, games)
     if video is not None:
-        from atari_dqn import clips  # what it draws with takes seconds to import
+        from atari_dqn.report import videos  # what it draws with takes seconds to import
 
-        clips.write_game(run_dir, given, video)
+        videos.write_game(run_dir, given, video)
     print(
         f"{len(played)} games: mean score {played.score.mean():.1f}, "
         f"{played.won.sum()} won, {(played.knockout == 1).sum()} by knock-out"
@@ -145,10 +148,9 @@ def replay(
     record = audit.find(run_dir, episode)
     facts = audit.outcome(parameters, record)
     if video is not None:
-        from atari_dqn import films  # what it draws with takes seconds to import
+        from atari_dqn.report.video import television  # what it draws with takes seconds to import
 
-        film = films.television(records.replay(parameters, record))
-        runs.write_atomically(video, film)
+        write_atomically(video, television(records.replay(parameters, record)))
     print(
         f"game {episode}: {facts['score']:g} points, {facts['length']:.0f} agent steps, "
         f"{facts['frames']:.0f} frames"
@@ -180,7 +182,7 @@ def verify(
 @experiments_app.command()
 def status(names: Names = None, results: Results = None, profile: Profile = "full") -> None:
     """Show every run: complete, running, interrupted, failed, missing or stale."""
-    table = experiments.status(experiments.planned(profile, names or [], results))
+    table = plan.status(plan.planned(profile, names or [], results))
     shown = pd.DataFrame(
         {
             "experiment": table.experiment,
@@ -194,7 +196,7 @@ def status(names: Names = None, results: Results = None, profile: Profile = "ful
     )
     shown = shown.astype(object).where(shown.notna(), None)
     print(tabulate(shown, headers="keys", showindex=False, missingval="-", disable_numparse=[4]))
-    print(experiments.summary(table))
+    print(plan.summary(table))
 
 
 @experiments_app.command()
@@ -214,13 +216,13 @@ def run(
     """Train what is missing or interrupted, several runs at once."""
     if scheduler is not None and workers is not None:
         raise ParameterError("--workers: a cluster has its own; leave it out with --scheduler")
-    wanted = experiments.planned(profile, names or [], results)
+    wanted = plan.planned(profile, names or [], results)
     _set_aside(wanted if anew else [])
     with _interruptible():
         if scheduler is None:
-            failures = experiments.train_all(wanted, workers)
+            failures = train_all(wanted, workers)
         else:
-            from atari_dqn import cluster  # Dask takes a second to import
+            from atari_dqn.runs import cluster  # Dask takes a second to import
 
             failures = cluster.train_all(wanted, scheduler)
     if failures:
@@ -230,10 +232,10 @@ def run(
 @app.command(name="report")
 def report_(profile: Profile = "full", results: Results = None) -> None:
     """Render the report from the stored runs; quick and smoke train their small runs first."""
-    from atari_dqn import report  # which imports all that draws
+    from atari_dqn.report import build  # which imports all that draws
 
     with _interruptible():
-        print(f"report: {report.build(profile, results)}/index.html and report.pdf")
+        print(f"report: {build.build(profile, results)}/index.html and report.pdf")
 
 
 def main() -> None:

@@ -41,15 +41,14 @@ def double_q_learning(batch: Batch, online: nn.Module, target_network: nn.Module
 class Agent:
     """What sets one agent apart from another."""
 
-    title: str
     network: type[nn.Module]
     target: Callable[[Batch, nn.Module, nn.Module], Tensor]
 
 
 AGENTS = {
-    "dqn": Agent("DQN", NatureNetwork, q_learning),
-    "double_dqn": Agent("Double DQN", NatureNetwork, double_q_learning),
-    "dueling_double_dqn": Agent("Dueling Double DQN", DuelingNetwork, double_q_learning),
+    "dqn": Agent(NatureNetwork, q_learning),
+    "double_dqn": Agent(NatureNetwork, double_q_learning),
+    "dueling_double_dqn": Agent(DuelingNetwork, double_q_learning),
 }
 
 
@@ -195,14 +194,6 @@ def transfer(weights: dict[str, Tensor], network: nn.Module, layers: str) -> Non
                     f"initial_weights: the model to start from has no {name} of shape {shape}"
                 )
             own.copy_(weights[name])
-
-
-def learning_rate(params: Parameters, games_finished: int) -> float:
-    """Step size of Adam: rises linearly over the first `warmup_games`, then stays."""
-    if games_finished >= params.warmup_games:
-        return params.learning_rate
-    share = games_finished / params.warmup_games
-    return params.warmup_learning_rate * (1 - share) + params.learning_rate * share
 
 
 def torch_device(name: str) -> torch.device:

@@ -23,6 +23,7 @@ import gymnasium
 import numpy as np
 from ale_py import ALEInterface, ALEState, LoggerMode, roms
 
+from atari_dqn.games import GAMES, boxing_points
 from atari_dqn.params import Parameters
 
 SIZE = 84  # pixels; the side of the square image that the networks see
@@ -44,37 +45,6 @@ class GameRecord:
 
 
 @dataclass(frozen=True)
-class GameFacts:
-    """What is known of a cartridge.
-
-    The human and random mean scores are those of `dqn_zoo/atari_data.py` (Quan and Ostrovski,
-    2020), which Schwarzer et al. (2023) use too.
-    """
-
-    title: str
-    human: float  # points, mean of a professional tester
-    random: float  # points, mean of uniformly random play
-    wins_at: int  # points from which a game is won
-    fire_to_serve: bool  # FIRE brings the ball into play, at the start and after every lost life
-    knockout_cells: tuple[int, int] | None  # RAM cells that read 0xC0 when the agent, or its
-    # rival, has knocked the other out
-    boxers: tuple[tuple[int, int], tuple[int, int]] | None  # RAM cells of x and y, in pixels, of
-    # the agent and of its rival (Anand et al., 2019)
-
-
-GAMES = {
-    "boxing": GameFacts("Boxing", 12.1, 0.1, 1, False, (18, 19), ((32, 34), (33, 35))),
-    "breakout": GameFacts("Breakout", 30.5, 1.7, 864, True, None, None),
-}
-
-
-def boxing_points(cell: int) -> int:
-    """The points that a memory cell of Boxing holds: a decimal digit in each half, or a
-    knock-out's."""
-    return 100 if cell == 0xC0 else 10 * (cell >> 4) + (cell & 0xF)
-
-
-@dataclass(frozen=True)
 class Emulator:
     """An emulator with a cartridge in it, and its state when it was switched on."""
 
@@ -93,7 +63,9 @@ def _emulator(game: str) -> Emulator:
         return left.pop()
     ale = ALEInterface()
     ale.setFloat("repeat_action_probability", 0.0)  # see AtariGame._act
-    ale.loadROM(roms.get_rom_path(game))
+    rom = roms.get_rom_path(game)
+    assert rom, game
+    ale.loadROM(rom)
     return Emulator(ale, ale.cloneState(include_rng=True))
 
 
@@ -132,7 +104,7 @@ class AtariGame(gymnasium.Env):
         weakref.finalize(self, _LEFT[game].append, emulator).atexit = False
         self.ale, self._switched_on = emulator.ale, emulator.switched_on
         self.actions = self.ale.getMinimalActionSet()
-        if difficulty not in self.ale.getAvailableDifficulties():
+        if difficulty not in self.facts.difficulties:
             raise ValueError(f"{game} has no difficulty {difficulty}")
         self.action_space = gymnasium.spaces.Discrete(len(self.actions))
         self.observation_space = gymnasium.spaces.Box(0, 255, (SIZE, SIZE), np.uint8)
@@ -158,7 +130,7 @@ class AtariGame(gymnasium.Env):
         if record is None:
             idle = int(self.np_random.integers(1, self.noop_max + 1)) if self.noop_max else 0
             chance = self.np_random.bit_generator.state if self.sticky_actions else None
-            record = GameRecord(idle, b"", chance)
+            record = GameRecord(idle, b"", dict(chance) if chance else None)
         elif self.sticky_actions:
             self.np_random.bit_generator.state = record.rng
         self.record, self.chosen = record, bytearray()
@@ -386,5 +358,5 @@ def learned_reward(params: Parameters, raw: float, life_lost: bool) -> float:
 def interleave(planes: np.ndarray) -> np.ndarray:
     """Images [stack, N, 84*84] to observations [N, 84, 84, stack], in one vectorised pass."""
     stack, count, _ = planes.shape
-    merged = cv2.merge(planes.reshape(stack, count * SIZE, SIZE))
+    merged = cv2.merge(list(planes.reshape(stack, count * SIZE, SIZE)))
     return merged.reshape(count, SIZE, SIZE, stack)

@@ -7,25 +7,21 @@ given and gives: observations, bytes [N, 84, 84, stack], and Q-values, float32 [
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
-from safetensors import safe_open
-from safetensors.torch import load_file, save
 from torch import nn
 
-from atari_dqn import records
-from atari_dqn.agents import AGENTS, torch_device
+from atari_dqn.agents import AGENTS
 from atari_dqn.envs import SIZE, GameRecord, game_of, interleave, learned_reward
-from atari_dqn.exploration import epsilon_greedy
 from atari_dqn.native import new_learner
-from atari_dqn.params import Parameters
+from atari_dqn.params import HELD_OUT_STATES, VALUE_GAMES, Parameters
+from atari_dqn.schedules import epsilon_greedy
 
 Player = Callable[[np.ndarray], np.ndarray]
 
 EMULATORS = 8  # games played at once
+VALUES_PERIOD = 100  # training games between rows of values.csv
 EVALUATION = 99  # sets the random streams of evaluation apart from those of training
 BATCH = 8  # observations a forward pass; fixed, since the last bits of Q depend on it
 
@@ -52,39 +48,8 @@ class PlayedGame:
     def row(self) -> dict[str, Any]:
         return {name: getattr(self, name) for name in PLAYED_COLUMNS}
 
-    def heading(self, trained_games: int) -> dict[str, Any]:
-        """What tells this game from all others of the run."""
-        keys = ("difficulty", "sticky_actions", "epsilon", "seed", "game")
-        settings = {key: getattr(self, key) for key in keys}
-        return {"kind": records.EVALUATION, "trained_games": trained_games, **settings}
-
 
 PLAYED_COLUMNS = [field.name for field in fields(PlayedGame) if field.name != "record"]
-
-
-def model_bytes(weights: dict[str, torch.Tensor], games: int) -> bytes:
-    """The contents of a model.safetensors: the weights as float16, and the games of training."""
-    half = {name: value.half().contiguous() for name, value in weights.items()}
-    return save(half, {"games": str(games)})
-
-
-def trained_games(path: Path) -> int:
-    """The training games behind a model.safetensors."""
-    with safe_open(path, "pt") as file:
-        return int(file.metadata()["games"])
-
-
-def read_model(path: Path) -> dict[str, torch.Tensor]:
-    """The weights in a model.safetensors, float32."""
-    return {name: value.float() for name, value in load_file(path).items()}
-
-
-def load_model(path: Path, params: Parameters) -> nn.Module:
-    """The network of `params`' first agent with the weights in `path`."""
-    actions = len(game_of(params).actions)
-    network = AGENTS[params.agents[0]].network(params.frame_stack, actions)
-    network.load_state_dict(read_model(path))
-    return network.requires_grad_(False).to(torch_device(params.device))
 
 
 def player_of(network: nn.Module, params: Parameters) -> Player:
@@ -173,7 +138,7 @@ def play(player: Player, params: Parameters, games: int, seed: int) -> Iterator[
 def conditions(params: Parameters) -> list[Parameters]:
     """What a finished run is evaluated with: as it was trained, then at the difficulties, and then
     with the sticky actions, that it asks for besides."""
-    changes = [
+    changes: list[dict[str, Any]] = [
         *({"difficulty": switches} for switches in params.evaluation_difficulties),
         *({"sticky_actions": probability} for probability in params.evaluation_stickiness),
     ]
@@ -198,11 +163,6 @@ class ValueCheck:
     predicted: float  # mean of max_a Q(s, a) over the states of a few greedy games
     realised: float  # mean discounted return, as it is learned from, that followed those states
     score: float  # points, mean of those greedy games
-
-
-HELD_OUT_STATES = 512
-VALUES_PERIOD = 100  # training games between rows of values.csv
-VALUE_GAMES = 20  # greedy games behind each
 
 
 def held_out_states(params: Parameters) -> np.ndarray:

@@ -23,7 +23,7 @@ class Convolutions(nn.Sequential):
             nn.Conv2d(64, 64, kernel_size=3, stride=1),  # [B, 64, 7, 7]
             nn.ReLU(inplace=True),
         )
-        self.to(memory_format=torch.channels_last)
+        self.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
     def forward(self, observations: Tensor) -> Tensor:
         """Bytes [B, 84, 84, S] to features [B, 3136], ordered by row, column, channel."""

@@ -8,10 +8,12 @@ import difflib
 import hashlib
 import json
 import re
+from collections.abc import Collection
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
 from pydantic import (
+    AfterValidator,
     BaseModel,
     BeforeValidator,
     ConfigDict,
@@ -23,16 +25,19 @@ from pydantic import (
 from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
+from atari_dqn.games import GAMES
+
 # Raise by one when the training code changes in a way that changes results; runs of another
 # version are stale. tests/test_training_version.py fails until somebody has decided.
 TRAINING_VERSION = 3
 
-AgentName = Literal["dqn", "double_dqn", "dueling_double_dqn"]
-GameName = Literal["boxing", "breakout"]
+AGENT_NAMES = ("dqn", "double_dqn", "dueling_double_dqn")  # what they are, `agents.AGENTS` says
 Profile = Literal["full", "quick", "smoke"]
-AGENT_NAMES: tuple[str, ...] = get_args(AgentName)
 PROFILES: tuple[str, ...] = get_args(Profile)
-DIFFICULTIES = {"boxing": (0, 1, 2, 3), "breakout": (0, 1)}  # the switches each cartridge reads
+
+# The protocol of the checks of values while training, which no file changes
+VALUE_GAMES = 20  # greedy games behind each
+HELD_OUT_STATES = 512  # of random play, whose values are followed too
 
 
 class ParameterError(ValueError):
@@ -46,6 +51,16 @@ def _scientific(value: Any) -> Any:
     return value
 
 
+def _named(kind: str, name: str, known: Collection[str]) -> str:
+    if name not in known:
+        near = difflib.get_close_matches(name, known, n=1)
+        hint = f"did you mean {near[0]!r}?" if near else f"must be one of {', '.join(known)}"
+        raise ValueError(f"no such {kind}; {hint}")
+    return name
+
+
+AgentName = Annotated[str, AfterValidator(lambda name: _named("agent", name, AGENT_NAMES))]
+GameName = Annotated[str, AfterValidator(lambda name: _named("game", name, GAMES))]
 Number = Annotated[float, BeforeValidator(_scientific), Field(allow_inf_nan=False)]
 
 
@@ -136,7 +151,7 @@ class Parameters(BaseModel):
 
     @model_validator(mode="after")
     def _fits_together(self) -> "Parameters":
-        allowed = DIFFICULTIES[self.game]
+        allowed = GAMES[self.game].difficulties
         if self.difficulty not in allowed:
             raise _key_error("difficulty", self.difficulty, f"{self.game} has {allowed}")
         if not set(self.evaluation_difficulties) <= set(allowed):
@@ -272,7 +287,7 @@ def _read_file(path: Path) -> dict[str, Any]:
     try:
         values = YAML(typ="safe", pure=True).load(path.read_text(encoding="utf-8"))
     except OSError as error:
-        raise ParameterError(f"{path}: {error.strerror.lower()}") from None
+        raise ParameterError(f"{path}: {str(error.strerror).lower()}") from None
     except (YAMLError, UnicodeDecodeError) as error:
         raise ParameterError(f"{path}: " + _yaml_message(error)) from None
     if not isinstance(values, dict) or not all(isinstance(key, str) for key in values):
@@ -401,6 +416,11 @@ def parse_overrides(texts: list[str]) -> dict[str, Any]:
         except YAMLError as error:
             raise ParameterError(f"--set {text!r}: {_yaml_message(error)}") from None
     return overrides
+
+
+def title(agent: str) -> str:
+    """An agent's name in prose: Double DQN is that of double_dqn."""
+    return " ".join("DQN" if word == "dqn" else word.capitalize() for word in agent.split("_"))
 
 
 def dump(params: Parameters, path: Path) -> None:

@@ -72,7 +72,7 @@ class FrameStore:
         self.segment = np.zeros(slots, np.int32)  # number of the segment that holds a slot's image
         self.start = np.zeros(slots, np.int32)  # its place there
         self.size = np.zeros(slots, np.int32)  # 0: nothing was written yet
-        self.segments: dict[int, bytes | bytearray] = {}
+        self.segments: dict[int, Any] = {}  # bytes, or a bytearray of that being filled
         self.held: dict[int, int] = {}  # images a segment holds
         self.newest, self.end = -1, SEGMENT
 

@@ -20,12 +20,12 @@ from typing import Any
 import numpy as np
 import torch
 
-from atari_dqn.agents import AGENTS, learning_rate
+from atari_dqn.agents import AGENTS
 from atari_dqn.envs import FinishedGame, GameRecord, LockstepGames
-from atari_dqn.exploration import epsilon, epsilon_greedy
 from atari_dqn.native import new_learner
 from atari_dqn.params import Parameters
 from atari_dqn.replay import ReplayMemory
+from atari_dqn.schedules import epsilon, epsilon_greedy, learning_rate
 
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3  # names of glibc's <malloc.h>
 

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from atari_dqn.agents import (
     Agent,
@@ -180,7 +180,7 @@ def _say_once(line: str) -> None:
 
 
 # What learner.cpp can do: the network and the target of each agent that it knows
-KNOWN = {
+KNOWN: dict[tuple[type[nn.Module], Any], dict[str, bool]] = {
     (NatureNetwork, q_learning): {"dueling": False, "double_q": False},
     (NatureNetwork, double_q_learning): {"dueling": False, "double_q": True},
     (DuelingNetwork, double_q_learning): {"dueling": True, "double_q": True},
@@ -206,7 +206,8 @@ class NativeLearner:
         library: Path | None = None,
     ):
         if (agent.network, agent.target) not in KNOWN:
-            raise Unavailable(f"it does not know the agent {agent.title}")
+            known = f"{agent.network.__name__} with {agent.target.__name__}"
+            raise Unavailable(f"it does not know the agent of {known}")
         kind = KNOWN[agent.network, agent.target]
         self.params, self.actions, self.dueling = params, actions, kind["dueling"]
         self._native = load(library)

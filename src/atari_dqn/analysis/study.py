@@ -1,0 +1,259 @@
+"""What the report's notebooks are about: their parameters, and the stored runs of a section."""
+
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from ruamel.yaml import YAML
+
+from atari_dqn import params
+from atari_dqn.analysis.statistics import MARKS
+from atari_dqn.games import GAMES, GameFacts
+from atari_dqn.params import ParameterError, Parameters
+from atari_dqn.runs import plan
+from atari_dqn.runs.files import project_root, results_folder
+from atari_dqn.runs.run import (
+    COMPLETE,
+    INTERRUPTED,
+    MISSING,
+    RUNNING,
+    STALE,
+    Run,
+    read_table,
+    runs_of,
+)
+
+FRAMES_A_MINUTE = 60 * 60
+
+
+def data(name: str) -> Any:
+    """What a file of notebooks/data/ holds."""
+    path = project_root() / "notebooks" / "data" / f"{name}.yaml"
+    return YAML(typ="safe", pure=True).load(path.read_text(encoding="utf-8"))
+
+
+class Section:
+    """The runs that one section of the report is about.
+
+    `agents` and `seeds` take the place of the experiment's own. Raises ParameterError on an
+    unknown experiment or agent.
+    """
+
+    def __init__(
+        self,
+        experiment: str,
+        profile: str,
+        results_dir: str | None = None,
+        agents: list[str] | None = None,
+        seeds: list[int] | None = None,
+    ):
+        found = {path.stem: path for path in plan.files(profile)}
+        if experiment not in found:
+            raise ParameterError(
+                f"experiment {experiment!r} is not allowed: must be one of {', '.join(found)}"
+            )
+        chosen = {"agents": agents, "seeds": seeds}
+        overrides = {key: value for key, value in chosen.items() if value is not None}
+        self.params: Parameters = params.load(found[experiment], overrides)
+        self.facts: GameFacts = GAMES[self.params.game]
+        self.slug = experiment.replace("_", "-")  # what this section's labels hold
+        folder = results_folder(profile, results_dir)
+        self.runs = runs_of(self.params, folder)
+        # How many games a point of a learning curve, and a number at a mark, is the mean of.
+        self.curve_window = max(1, self.params.episodes // 30)
+        self.mark_window = max(1, self.params.episodes // len(MARKS))
+
+    @cached_property
+    def usable(self) -> list[Run]:
+        return [run for run in self.runs if run.state() not in (MISSING, STALE)]
+
+    @cached_property
+    def episodes(self) -> pd.DataFrame:
+        """A row a training game: `training.Episode`, agent, seed, variation, seconds so far."""
+        tables = []
+        for run in self.usable:
+            table = read_table([run], "episodes.csv")
+            timing = read_table([run], "timing.csv")
+            if not table.empty:
+                tables.append(table.merge(timing[["episode", "seconds"]], "left", "episode"))
+        return pd.concat(tables, ignore_index=True) if tables else pd.DataFrame()
+
+    @cached_property
+    def values(self) -> pd.DataFrame:
+        """A row every hundred games: `evaluation.ValueCheck`, agent, seed."""
+        return read_table(self.usable, "values.csv")
+
+    @cached_property
+    def evaluations(self) -> pd.DataFrame:
+        """Those of `all_evaluations` that were played as the experiment trains and evaluates."""
+        return self.as_trained(self.all_evaluations)
+
+    def as_trained(self, table: pd.DataFrame) -> pd.DataFrame:
+        """The evaluation games in `table` that were played as the experiment trains and
+        evaluates."""
+        if table.empty:
+            return table
+        p = self.params
+        return table[
+            (table.difficulty == p.difficulty)
+            & (table.sticky_actions == p.sticky_actions)
+            & (table.epsilon == p.evaluation_epsilon)
+        ]
+
+    @cached_property
+    def stored_evaluations(self) -> pd.DataFrame:
+        """A row an evaluation game, of whichever of a run's models and however played."""
+        return read_table(self.usable, "evaluations.csv")
+
+    @cached_property
+    def all_evaluations(self) -> pd.DataFrame:
+        """A row an evaluation game of each run's newest model that was evaluated, at whatever
+        difficulty and stickiness."""
+        table = self.stored_evaluations
+        if table.empty:
+            return table
+        newest = table.groupby(["experiment", "agent", "seed"]).trained_games.transform("max")
+        minutes = table.frames / FRAMES_A_MINUTE
+        table = table.assign(conceded_a_minute=table.conceded / minutes)
+        return table.assign(scored_a_minute=table.scored / minutes)[table.trained_games == newest]
+
+    @cached_property
+    def random_play(self) -> pd.DataFrame:
+        """A row an evaluation game of random moves only, at the experiment's difficulty and
+        stickiness; the same game counts once, whichever models stood by."""
+        table = self.stored_evaluations
+        if table.empty:
+            return table
+        p = self.params
+        alike = (table.difficulty == p.difficulty) & (table.sticky_actions == p.sticky_actions)
+        return table[alike & (table.epsilon == 1.0)].drop_duplicates(["seed", "game"])
+
+    @property
+    def final_evaluations(self) -> pd.DataFrame:
+        """Those of `all_evaluations` that are of finished runs."""
+        table = self.all_evaluations
+        return table if table.empty else table[table.trained_games >= self.params.episodes]
+
+    @property
+    def usual(self) -> bool:
+        """Whether the game is played as others have played it, so that scores compare."""
+        return self.params.difficulty == 0
+
+    @property
+    def share(self) -> float:
+        """Games played, of those planned."""
+        wanted = len(self.runs) * self.params.episodes
+        return min(1.0, len(self.episodes) / wanted)
+
+    @property
+    def complete(self) -> bool:
+        return all(run.state() == COMPLETE for run in self.runs)
+
+    def scores(self, agent: str, first: int, last: int) -> np.ndarray:
+        """The scores of training games `first` to `last`, float64 [seeds, games], of the agent's
+        seeds that have played that far."""
+        if self.episodes.empty:
+            return np.empty((0, 0))
+        games = self.episodes[self.episodes.agent == agent]
+        reached = games.groupby("seed").episode.transform("max") >= last
+        wanted = games[reached & games.episode.between(first, last)]
+        return wanted.pivot(index="seed", columns="episode", values="score").to_numpy(float)
+
+    @property
+    def origin(self) -> str:
+        """The files that hold the section's training games, for under a figure."""
+        agents = "*" if len(self.params.agents) > 1 else self.params.agents[0]
+        name = self.params.experiment + ("+*" if self.params.variations else "")
+        return f"results/runs/{name}/{agents}/seed-*/"
+
+    def counted(self) -> str:
+        """How many seeds and games there are, for captions."""
+        if self.episodes.empty:
+            return "no run stored yet"
+        seeds = self.episodes.groupby("agent").seed.nunique()
+        low, high = seeds.min(), seeds.max()
+        number = f"{low}" if low == high else f"{low} to {high}"
+        few = "; indicative only" if low <= 3 else ""
+        return f"seeds an agent: {number}; {len(self.episodes):,} training games{few}"
+
+
+class Study:
+    """Experiments of a profile: study["boxing_final"] is its section.
+
+    `names` are those of the experiments; None takes all. `agents` and `seeds` take the place of
+    each experiment's own.
+    """
+
+    def __init__(
+        self,
+        profile: str,
+        results_dir: str | None = None,
+        names: list[str] | None = None,
+        agents: list[str] | None = None,
+        seeds: list[int] | None = None,
+    ):
+        if names is None:
+            names = [path.stem for path in plan.files(profile)]
+        self.sections = {name: Section(name, profile, results_dir, agents, seeds) for name in names}
+
+    def __getitem__(self, experiment: str) -> Section:
+        if experiment not in self.sections:
+            raise KeyError(f"{experiment!r} is not among the study's {', '.join(self.sections)}")
+        return self.sections[experiment]
+
+    @property
+    def runs(self) -> list[Run]:
+        return [run for section in self.sections.values() for run in section.runs]
+
+
+def hours(run: Run) -> float:
+    """Hours by the clock, on one core, of the training behind the stored games."""
+    return _last(run, "timing.csv", "seconds") / 3600
+
+
+def peak_megabytes(run: Run) -> float:
+    """The most memory that a process which trained the run has ever held; 0 if none noted it."""
+    sessions = run.provenance()["sessions"]
+    return max(session.get("peak_memory_megabytes", 0.0) for session in sessions)
+
+
+def _last(run: Run, file: str, column: str) -> float:
+    table = read_table([run], file)
+    return 0.0 if table.empty else float(table[column].iloc[-1])
+
+
+def run_table(study: Study) -> pd.DataFrame:
+    """A row a stored run: state, games, agent steps, hours, resumes, commits, parameters' hash."""
+    rows = []
+    for run in study.runs:
+        state = run.state()
+        if state == MISSING:
+            continue
+        stored = run.provenance()
+        last = stored["sessions"][-1]
+        commits = [_short(session["commit"]) for session in stored["sessions"]]
+        experiment = run.params.experiment.partition("+")[0]
+        training = state in (RUNNING, INTERRUPTED)
+        rows.append(
+            {
+                "experiment": f"`{experiment}`" + (f": {run.variation}" if run.variation else ""),
+                "agent": params.title(run.agent),
+                "seed": run.seed,
+                "state": "unfinished" if training else state,
+                "games": f"{run.status()['episodes_done']:,}",
+                "agent steps": f"{_last(run, 'episodes.csv', 'agent_steps'):,.0f}",
+                "hours": hours(run),
+                "resumes": stored["resumes"],
+                "processor": last["processor"],
+                "commits": ", ".join(dict.fromkeys(commits)),
+                "hash": f"`{stored['identity'][:8]}`",
+            }
+        )
+    columns = ["experiment", "agent", "seed", "state", "games", "agent steps", "hours", "resumes"]
+    return pd.DataFrame(rows, columns=[*columns, "processor", "commits", "hash"])
+
+
+def _short(commit: str) -> str:
+    """A commit's first digits, with a + if files differed from it."""
+    return f"`{commit[:8]}{'+' * commit.endswith('+')}`"

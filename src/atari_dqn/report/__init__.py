@@ -1,0 +1,1 @@
+"""The written report: figures, tables, videos, and what binds them."""

@@ -1,0 +1,216 @@
+"""From notebooks to the written report: papermill executes, nbconvert extracts, pandoc and Typst
+typeset. Every part comes from pip packages; nothing is fetched.
+
+The previous report stays in place until a whole new one has been made.
+"""
+
+import multiprocessing
+import os
+import shutil
+import tempfile
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import suppress
+from pathlib import Path
+
+import nbformat
+import papermill
+import pypandoc
+import typst
+from filelock import FileLock, Timeout
+from nbconvert import MarkdownExporter
+from tqdm import tqdm
+
+from atari_dqn.report import crossrefs, fingerprint
+from atari_dqn.runs import plan, scheduler
+from atari_dqn.runs.files import RunError, project_root, results_folder
+
+STAMP = {"full": "", "quick": "QUICK RUN, NOT EVIDENCE", "smoke": "SMOKE RUN, NOT EVIDENCE"}
+TITLE = "Deep Q-Networks learn to box"
+SUBTITLE = "A reproducible study of DQN, Double DQN and Dueling Double DQN on two Atari games"
+TEMPLATES = Path(__file__).parent / "templates"
+STARTS = 3  # of a notebook's kernel, whose ports another's may take before it does
+
+
+def build(profile: str, results: Path | None = None) -> Path:
+    """Makes the report of a profile and returns its folder.
+
+    `full` renders what is stored, and trains nothing; the other profiles first train what is
+    missing of their small runs. Sections whose notebook, code, parameters and runs are those of
+    the last time are not executed again. Raises RunError if a run or a section fails, or if the
+    report is being built by another process.
+    """
+    folder = results_folder(profile, results)
+    (folder / "notebooks").mkdir(parents=True, exist_ok=True)
+    try:
+        with FileLock(folder / "notebooks" / ".lock", timeout=0):
+            return _build(profile, folder)
+    except Timeout:
+        raise RunError(f"the report in {folder} is being built by another process") from None
+
+
+def _build(profile: str, folder: Path) -> Path:
+    if profile != "full":
+        failures = scheduler.train_all(plan.planned(profile, [], folder))
+        if failures:
+            raise RunError("; ".join(failures))
+    executed = _execute(profile, folder, _snapshot(folder))
+    data = project_root() / "notebooks" / "data"
+    with tempfile.TemporaryDirectory() as temporary:
+        made = Path(temporary)
+        text = "\n\n".join(_section(path, made) for path in executed)
+        listed, waiting = crossrefs.check_completeness(text, data / "completeness.yaml")
+        print(f"{listed} things of the source report have their places; {waiting} wait for runs")
+        text = crossrefs.finish(text) + "\n\n# References {.unnumbered}\n"
+        _typeset(text, STAMP[profile], made)
+        target = folder / "report"
+        target.mkdir(parents=True, exist_ok=True)
+        for name in ("index.html", "report.pdf"):
+            shutil.copyfile(made / name, target / f".{name}")
+            (target / f".{name}").replace(target / name)
+    return target
+
+
+def _snapshot(folder: Path) -> Path:
+    """A copy of the stored runs, so that all sections speak of the same games though training may
+    go on. Returns the folder to give notebooks as that of the results."""
+    snapshot = folder / "notebooks" / "snapshot"
+    shutil.rmtree(snapshot, ignore_errors=True)
+    (folder / "runs").mkdir(parents=True, exist_ok=True)
+
+    def copy(source: str, target: str) -> None:
+        if not source.endswith(".csv"):  # which may be appended to; others are replaced, if ever
+            with suppress(OSError):  # no links between these folders
+                os.link(source, target)
+                return
+        shutil.copyfile(source, target)
+
+    ignored = shutil.ignore_patterns(".*")
+    shutil.copytree(folder / "runs", snapshot / "runs", ignore=ignored, copy_function=copy)
+    return snapshot
+
+
+def _execute(profile: str, folder: Path, results: Path) -> list[Path]:
+    """Runs the numbered notebooks that are out of date into results/notebooks, one a core.
+
+    A failing one leaves no output there.
+    """
+    target = folder / "notebooks"
+    sections = sorted((project_root() / "notebooks").glob("[0-9]*.ipynb"))
+    stale = []
+    for notebook in sections:
+        fresh = fingerprint.fingerprint(notebook, profile, results)
+        stamp = target / f"{notebook.stem}.inputs"
+        executed = target / notebook.name
+        if not (executed.exists() and stamp.exists() and stamp.read_text() == fresh):
+            stale.append((notebook, fresh))
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(scheduler.cores(), mp_context=context) as pool:
+        jobs = {
+            pool.submit(_execute_one, notebook, target, profile, results): (notebook, fresh)
+            for notebook, fresh in stale
+        }
+        for job in tqdm(as_completed(jobs), total=len(jobs), desc="sections"):
+            notebook, fresh = jobs[job]
+            try:
+                job.result()
+            except RunError:
+                pool.shutdown(cancel_futures=True)
+                raise
+            (target / f"{notebook.stem}.inputs").write_text(fresh)
+    return [target / notebook.name for notebook in sections]
+
+
+def _execute_one(notebook: Path, target: Path, profile: str, results: Path) -> None:
+    """Executes one notebook; raises RunError that names the section, the cell and the error."""
+    os.environ["OMP_NUM_THREADS"] = "1"  # of the notebook's process: another has the other core
+    partial = target / f".{notebook.name}"
+    for old in (f"{notebook.stem}.inputs", notebook.name):  # the stamp first, if one is left
+        (target / old).unlink(missing_ok=True)
+    for start in range(STARTS):
+        try:
+            papermill.execute_notebook(
+                notebook,
+                partial,
+                {"profile": profile, "results_dir": str(results.resolve())},
+                cwd=str(notebook.parent),
+                kernel_name="python3",
+                progress_bar=False,
+                request_save_on_cell_execute=False,
+                extra_arguments=["--log-level=ERROR"],
+            )
+        except papermill.PapermillExecutionError as error:
+            partial.unlink(missing_ok=True)
+            where = f"section {notebook.name}, cell {error.cell_index}"
+            raise RunError(f"{where}: {error.ename}: {error.evalue}") from None
+        except RuntimeError as error:
+            partial.unlink(missing_ok=True)
+            if "before replying" not in str(error) or start == STARTS - 1:
+                raise RunError(f"section {notebook.name}: {error}") from None
+        else:
+            break
+    partial.replace(target / notebook.name)
+
+
+def _section(path: Path, made: Path) -> str:
+    """An executed notebook as pandoc's Markdown; its figures go to `made`."""
+    exporter = MarkdownExporter(template_name="section", extra_template_basedirs=[str(TEMPLATES)])
+    notebook = nbformat.read(path, as_version=4)
+    names = {
+        "output_files_dir": f"{path.stem}_figures",
+        "unique_key": path.stem,
+        "notebook": path.name,
+    }
+    body, resources = exporter.from_notebook_node(notebook, names)
+    for name, data in resources["outputs"].items():
+        (made / name).parent.mkdir(exist_ok=True)
+        (made / name).write_bytes(data)
+    return body
+
+
+def _typeset(text: str, stamp: str, made: Path) -> None:
+    """Markdown to `made`/index.html and report.pdf."""
+    root = project_root()
+    bibliography = root / "notebooks" / "references.bib"
+    shared = [
+        "--standalone",
+        "--fail-if-warnings",  # such as a citation of nothing
+        "--columns=10000",  # no table line is too long for columns as wide as their contents
+        "--citeproc",
+        f"--bibliography={bibliography}",
+        f"--resource-path={made}",
+        "--number-sections",
+        f"--lua-filter={TEMPLATES / 'report.lua'}",
+        f"--metadata=title:{TITLE}",
+        f"--metadata=subtitle:{SUBTITLE}",
+        "--metadata=lang:en-GB",
+        "--metadata=link-citations:true",
+        *([f"--metadata=stamp:{stamp}"] if stamp else []),
+    ]
+    source = "markdown"
+    html = [
+        *shared,
+        "--embed-resources",
+        "--mathml",
+        "--toc",
+        "--toc-depth=2",
+        f"--variable=script:{(TEMPLATES / 'report.js').read_text(encoding='utf-8')}",
+        f"--css={TEMPLATES / 'report.css'}",
+        f"--template={TEMPLATES / 'report.html'}",
+    ]
+    pypandoc.convert_text(
+        text, "html5", source, extra_args=html, outputfile=str(made / "index.html")
+    )
+    paper = [
+        *shared,
+        f"--template={TEMPLATES / 'report.typ'}",
+    ]
+    pypandoc.convert_text(
+        text, "typst", source, extra_args=paper, outputfile=str(made / "report.typ")
+    )
+    typst.compile(
+        str(made / "report.typ"),
+        output=str(made / "report.pdf"),
+        root=str(made),
+        ignore_system_fonts=True,
+        timestamp=int(os.environ.get("SOURCE_DATE_EPOCH", 0)),
+    )

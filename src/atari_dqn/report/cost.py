@@ -1,0 +1,210 @@
+"""Speed and cost: the stored benchmark beside the peers, and the hours that the runs took."""
+
+import json
+
+import pandas as pd
+import seaborn as sns
+from matplotlib import pyplot as plt
+
+from atari_dqn import params
+from atari_dqn.analysis.study import Study, data, hours, peak_megabytes
+from atari_dqn.report import plots
+from atari_dqn.report.outputs import show_absent, show_figure, show_table, show_text
+from atari_dqn.runs.files import project_root
+from atari_dqn.runs.run import MISSING
+
+OURS = "atari-dqn"
+FOLDER = "results/benchmarks"
+AIMED_RATIO = 2.6  # of the fastest peer's speed
+
+
+def best_setups(measured: pd.DataFrame) -> pd.DataFrame:
+    """Of the rows of `throughput.csv`, each library's fastest for each agent, fastest first."""
+    best = measured.loc[measured.groupby(["library", "agent"]).steps_per_second.idxmax()]
+    return best.sort_values("steps_per_second", ascending=False)
+
+
+def draw_throughput(best: pd.DataFrame) -> plt.Figure:
+    """Bars of agent steps a second, and the roofline of direct convolutions for each agent."""
+    figure, axes = plt.subplots(figsize=(plots.WIDTH, 2.6))
+    colours = {params.title(agent): plots.COLOURS[agent] for agent in best.agent.unique()}
+    shown = best.assign(agent=best.agent.map(lambda agent: params.title(agent)))
+    sns.barplot(shown, x="steps_per_second", y="library", hue="agent", palette=colours, ax=axes)
+    for bars in axes.containers:
+        axes.bar_label(bars, fmt="%.0f", padding=3, fontsize="small")
+    ours = best[best.library == OURS].set_index("agent")
+    for agent, roof in (ours.steps_per_second / ours.share_of_direct_roofline).items():
+        axes.axvline(roof, color=plots.COLOURS[agent], ls="--", lw=1)
+        axes.annotate(
+            "roofline", (roof, 0.02), xycoords=("data", "axes fraction"), xytext=(-2, 0),
+            textcoords="offset points", rotation=90, ha="right", fontsize="x-small", color="0.35",
+        )  # fmt: skip
+    axes.set(xlabel="agent steps a second, whole machine, best set-up", ylabel="")
+    axes.legend(title=None, loc="lower left", bbox_to_anchor=(0, 1), ncols=2)
+    return figure
+
+
+def show_throughput() -> None:
+    """Training speed beside the peers', each in its best set-up."""
+    folder = project_root() / FOLDER
+    if not (folder / "throughput.csv").exists():
+        show_absent("fig-throughput", "The benchmark has not been run: `make bench` does.")
+        return
+    measured = pd.read_csv(folder / "throughput.csv")
+    machine = json.loads((folder / "machine.json").read_text())
+    best = best_setups(measured)
+    show_figure(
+        draw_throughput(best),
+        label="fig-throughput",
+        caption=f"Training speed on {machine['cores']} cores of an {machine['processor']}: Boxing, "
+        f"batch 32, one update every {machine['update_period']} agent steps, everything included. "
+        "Each library in its best set-up; `results/benchmarks/throughput.csv` has them all. "
+        "Dashed: what the machine could do at most with direct convolutions. Stable-Baselines3 has "
+        "no Double DQN.",
+        alt="Bars of agent steps a second for this project and its peers.",
+        data=f"{FOLDER}/throughput.csv",
+    )
+    ours = best[(best.library == OURS) & (best.agent == "dqn")].iloc[0]
+    peer = best[(best.library != OURS) & (best.agent == "dqn")].iloc[0]
+    reached = "reached" if ours.ratio_to_best_peer >= AIMED_RATIO else "missed"
+    show_text(
+        f"With DQN this project makes {ours.steps_per_second:.0f} agent steps a second, "
+        f"{ours.ratio_to_best_peer:.2f} times {peer.library}, the "
+        "faster of two well-known libraries, in its best set-up. (The aim of "
+        f"{AIMED_RATIO} times is {reached}.) A machine's *roofline* is the speed it would have if "
+        "it did nothing but the necessary arithmetic at its processor's highest speed "
+        f"({machine['float32_gflops_a_core']:.0f} billion operations a second and core) and the "
+        "emulation. A program that computes each convolution as it is defined cannot pass "
+        f"{1 / peer.share_of_direct_roofline:.2f} times {peer.library}; ours reaches "
+        f"{ours.share_of_direct_roofline:.0%} of that roofline, because it needs fewer "
+        "multiplications. Held to the roofline of those, it reaches "
+        f"{ours.share_of_needed_roofline:.0%}: the rest are the transforms that save them, Adam's "
+        "memory traffic, and the replay memory."
+    )
+    show_text(_gain_of_cores(measured[measured.library == OURS], machine["cores"]))
+
+
+def _gain_of_cores(ours: pd.DataFrame, cores: int) -> str:
+    """What the other cores bring, as processes and as threads: DQN, against a process on one."""
+    alone = ours[(ours.agent == "dqn") & (ours.setup == "one process, 1 thread")].iloc[0]
+    same = ours[(ours.agent == "dqn") & (ours.environments == alone.environments)]
+    gains = same.set_index("setup").steps_per_second / alone.steps_per_second
+    if cores == 1:
+        return "The machine has one core only."
+    both = same.set_index("setup").loc["one process a core, 1 thread"]
+    processes = gains[both.name]
+    text = (
+        f"On its {cores} cores, one process a core makes {processes:.2f} times the agent steps of "
+        f"one process on one core, and one process of {cores} threads "
+        f"{gains[f'one process, {cores} threads']:.2f} times: hence one run a core."
+    )
+    if processes > cores:
+        text += (
+            f" (More than {cores} times cannot be; between rounds the one process varied from "
+            f"{alone.low:.0f} to {alone.high:.0f} agent steps a second, and the {cores} from "
+            f"{both.low:.0f} to {both.high:.0f}.)"
+        )
+    return text
+
+
+def show_learners() -> None:
+    """The native learner beside PyTorch's in the whole training loop."""
+    label, path = "tbl-learners", project_root() / FOLDER / "learners.csv"
+    if not path.exists():
+        show_absent(label, "`python benchmarks/learners.py` has not been run.")
+        return
+    measured = pd.read_csv(path)
+    shown = pd.DataFrame(
+        {
+            "run": measured.experiment,
+            "agent": measured.agent.map(lambda agent: params.title(agent)),
+            "PyTorch": measured.torch_steps_per_second,
+            "native": measured.native_steps_per_second,
+            "times": [
+                f"{row.ratio:.2f} ({row.low:.2f} to {row.high:.2f})"
+                for row in measured.itertuples()
+            ],
+        }
+    )
+    show_table(
+        shown,
+        label=label,
+        caption="Agent steps a second of processor time with either learner, everything included "
+        f"and {measured.transitions.min():,} transitions stored: the same loop in turns, and how "
+        "many times as fast the native one is (90% interval of the median).",
+        decimals=1,
+    )
+
+
+def show_breakdown() -> None:
+    """Where the time of an update goes."""
+    path = project_root() / FOLDER / "breakdown.csv"
+    if not path.exists():
+        show_absent("tbl-breakdown", "`python benchmarks/breakdown.py` has not been run.")
+        return
+    table = pd.read_csv(path)
+    table["share"] = table.share.map("{:.0%}".format)
+    table["share_of_peak"] = table.share_of_peak.map("{:.0%}".format).replace("nan%", "–")
+    show_table(
+        table.rename(columns=lambda name: name.replace("_", " ")),
+        label="tbl-breakdown",
+        caption="Where the time of an update and its four agent steps goes: one process, one "
+        "thread; and how near the processor's highest speed the arithmetic comes.",
+    )
+
+
+def show_whole_run() -> None:
+    """What a whole training process does and needs, as its replay memory fills."""
+    label = "tbl-whole-run"
+    path = project_root() / FOLDER / "whole_run.csv"
+    if not path.exists():
+        show_absent(label, "`python benchmarks/whole_run.py` has not been run.")
+        return
+    measured = pd.read_csv(path)
+    first, last = measured.iloc[0], measured.iloc[-1]
+    show_text(
+        f"A training process of Double DQN in Boxing, alone on one core, makes "
+        f"{first.steps_per_second:.0f} agent steps a second with {first.transitions:,.0f} stored "
+        f"transitions and {last.steps_per_second:.0f} with {last.transitions:,.0f}. With these, "
+        f"writing a checkpoint takes {last.checkpoint_seconds:.1f} seconds, "
+        f"{last.checkpoint_share_of_time:.1%} of the run's time, and the process holds "
+        f"{last.resident_megabytes / 1000:.1f} GB at its peak."
+    )
+    shown = pd.DataFrame(
+        {
+            "transitions": measured.transitions.map("{:,}".format),
+            "agent steps a second": measured.steps_per_second,
+            "checkpoint: seconds": measured.checkpoint_seconds,
+            "MB": measured.checkpoint_megabytes,
+            "share of time": measured.checkpoint_share_of_time.map("{:.1%}".format),
+            "seconds to load": measured.load_seconds,
+            "peak memory (MB)": measured.resident_megabytes,
+        }
+    )
+    show_table(
+        shown,
+        label=label,
+        caption="A training process of `boxing_final` by the size of its replay memory, filled "
+        "with random play; one measurement each.",
+        decimals=1,
+    )
+
+
+def show_hours(study: Study) -> None:
+    """Hours by the clock so far, one core each, and beside the source report's early run."""
+    stored = [run for run in study.runs if run.state() != MISSING]
+    spent = sum(hours(run) for run in stored)
+    early = study["breakout_early"]
+    text = f"The {len(stored)} stored runs took {spent:,.1f} hours by the clock, one core each, "
+    text += "beside other work at times"
+    if peak := max((peak_megabytes(run) for run in stored), default=0):
+        text += f", and held up to {peak / 1000:.1f} GB of memory"
+    text += "."
+    theirs = data("source_report")
+    if early.complete and early.params.profile == "full":
+        ours = early.episodes.seconds.max() / 3600
+        text += (
+            f" The {early.params.episodes:,} games of the early Breakout run took {ours:.1f} of "
+            f"them; the source report's took over {theirs['early_breakout_hours']} hours."
+        )
+    show_text(text)

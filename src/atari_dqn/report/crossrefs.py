@@ -1,0 +1,113 @@
+"""The report's text between the notebooks and the typesetters: labels, numbers, completeness.
+
+A label begins with what it names: fig- or vid- (both are figures), tbl-, sec-, eq-. Where a
+figure or table has nothing to show yet, a division of class `absent` carries its label, so that
+what refers to it stays whole.
+"""
+
+import re
+from collections import Counter
+from pathlib import Path
+
+from ruamel.yaml import YAML
+
+from atari_dqn.runs.files import RunError
+
+KINDS = {"fig": "Figure", "vid": "Figure", "tbl": "Table", "sec": "Section", "eq": "Equation"}
+_LABEL = re.compile(r'(?:\{#|\bid=")((?:fig|vid|tbl|sec|eq)-[a-z0-9-]+)( \.absent)?')
+_REFERENCE = re.compile(r"(?<![\w@-])@((?:fig|vid|tbl|sec|eq)-[a-z0-9]+(?:-[a-z0-9]+)*)")
+_HEADING = re.compile(r"^(#+) (.*)$", re.MULTILINE)
+_FENCED = re.compile(r"^(`{3,})[^`\n]*\n.*?^\1$", re.MULTILINE | re.DOTALL)
+_EQUATION = re.compile(r"\$\$((?:(?!\$\$).)+)\$\$\s*\{#(eq-[a-z0-9-]+)\}", re.DOTALL)
+_NUMBERED = re.compile(r"\$\$\]\{#(eq-[a-z0-9-]+)")
+_FIGURE = re.compile(
+    r"^!\[[^\n]*\]\([^\n]*\)\{#(fig-[a-z0-9-]+)( alt=\"[^\"\n]{20,}\")?", re.MULTILINE
+)
+
+
+def finish(text: str) -> str:
+    """Numbers what carries a label and turns every `@fig-...` into a link with its number.
+
+    Raises RunError if a label is given twice or referred to without existing, or if a figure has
+    no text alternative.
+    """
+    text = _EQUATION.sub(r"[$$\1$$]{#\2 .equation}", text)  # pandoc gives formulas no label
+    found = [match[1] for match in _LABEL.finditer(text)]
+    twice = [label for label, count in Counter(found).items() if count > 1]
+    if twice:
+        raise RunError(f"labels given twice: {', '.join(twice)}")
+    silent = [match[1] for match in _FIGURE.finditer(text) if not match[2]]
+    if silent:
+        raise RunError(f"figures without a text alternative of 20 letters: {', '.join(silent)}")
+    numbers = _numbers(text)
+    unknown = {match[1] for match in _REFERENCE.finditer(text)} - set(numbers)
+    if unknown:
+        raise RunError(f"references to labels that do not exist: {', '.join(sorted(unknown))}")
+    text = _NUMBERED.sub(lambda match: rf"\qquad ({numbers[match[1]]}) $$]{{#{match[1]}", text)
+    return _REFERENCE.sub(lambda match: _link(match[1], numbers[match[1]]), text)
+
+
+def labels(text: str) -> set[str]:
+    """Every label in the text, of what is there and of what is still absent."""
+    return {match[1] for match in _LABEL.finditer(text)}
+
+
+def check_completeness(text: str, path: Path) -> tuple[int, int]:
+    """How many things the source report holds, and how many of them wait for runs in `text`.
+
+    Raises RunError if one has no place at all. The file at `path` lists what the source report
+    holds: {group: [{..., labels: [label, ...]}]}.
+    """
+    present = labels(text)
+    groups = YAML(typ="safe", pure=True).load(path.read_text(encoding="utf-8"))
+    gaps = [
+        f"{group}: {entry['what']} ({label})"
+        for group, entries in groups.items()
+        for entry in entries
+        for label in entry["labels"] or ["no label"]
+        if label not in present
+    ]
+    if gaps:
+        raise RunError(f"{path.name} lists what the report does not show: {'; '.join(gaps)}")
+    absent = {match[1] for match in _LABEL.finditer(text) if match[2]}
+    entries = [entry for group in groups.values() for entry in group]
+    return len(entries), sum(not absent.isdisjoint(entry["labels"]) for entry in entries)
+
+
+def _numbers(text: str) -> dict[str, str]:
+    """{label: number}, counted in the order of the text; absent ones are not counted."""
+    counts: Counter[str] = Counter()
+    numbers = {}
+    for match in _LABEL.finditer(text):
+        kind = KINDS[match[1].partition("-")[0]]
+        if kind == "Section":
+            continue
+        if match[2]:
+            numbers[match[1]] = ""
+            continue
+        counts[kind] += 1
+        numbers[match[1]] = str(counts[kind])
+    return numbers | _section_numbers(text)
+
+
+def _section_numbers(text: str) -> dict[str, str]:
+    """As pandoc numbers them: 1, 1.1, ..."""
+    counts: list[int] = []
+    numbers = {}
+    for match in _HEADING.finditer(_FENCED.sub("", text)):  # a comment in code is no heading
+        if ".unnumbered" in match[2]:
+            continue
+        level = len(match[1])
+        counts = [*counts[:level], *[0] * (level - len(counts))]
+        counts[level - 1] += 1
+        label = re.search(r"\{#(sec-[a-z0-9-]+)", match[2])
+        if label:
+            numbers[label[1]] = ".".join(map(str, counts))
+    return numbers
+
+
+def _link(label: str, number: str) -> str:
+    kind = KINDS[label.partition("-")[0]]
+    if not number:
+        return f"[{kind.lower()} still to come](#{label}){{.ref}}"
+    return f"[{kind}\N{NO-BREAK SPACE}{number}](#{label}){{.ref}}"

@@ -1,0 +1,84 @@
+"""Whether a section of the report must be executed again: a digest of all it is made from."""
+
+import ast
+import hashlib
+import json
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+from atari_dqn import params
+from atari_dqn.runs import plan
+from atari_dqn.runs.files import project_root
+from atari_dqn.runs.run import runs_of
+
+
+def fingerprint(notebook: Path, profile: str, results: Path) -> str:
+    """SHA-256 (hex) of a notebook and what it depends on: the modules that it imports, directly
+    or through others; the data files beside it; the stored benchmarks; the stored runs of the
+    experiments that it names.
+    """
+    source = notebook.read_text(encoding="utf-8")
+    code = "\n".join(
+        "".join(cell["source"])
+        for cell in json.loads(source)["cells"]
+        if cell["cell_type"] == "code"
+    )
+    digest = hashlib.sha256(f"{profile}\n{source}".encode())
+    if "project_files" in code:  # a drawing of their names
+        digest.update("\n".join(source_files()).encode())
+    measured = sorted((project_root() / "results" / "benchmarks").glob("*.*"))
+    for path in [*_modules(code), *_data(notebook), *measured, *_stored(code, profile, results)]:
+        digest.update(f"{path.parent.name}/{path.name}\n".encode())
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+def _modules(code: str) -> list[Path]:
+    """The source files of what `code` imports, directly or through others."""
+    files = source_files()
+    seen: set[str] = set()
+    waiting = imports(code)
+    while waiting:
+        name = waiting.pop()
+        seen.add(name)
+        waiting |= imports(files[name].read_text(encoding="utf-8")) - seen
+    return [files[name] for name in sorted(seen)]
+
+
+def _data(notebook: Path) -> list[Path]:
+    return sorted((notebook.parent / "data").glob("*.yaml"))
+
+
+def _stored(code: str, profile: str, results: Path) -> Iterator[Path]:
+    """The parameter files and stored runs of every experiment that the code names; of all of them
+    if it asks for a study of no experiments in particular."""
+    for path in plan.files(profile):
+        if not re.search(rf"""["']{path.stem}["']|\bStudy\((?![^)]*names)""", code):
+            continue
+        yield from params.files_behind(path)
+        for run in runs_of(params.load(path), results):
+            yield from sorted(file for file in run.folder.rglob("[!.]*") if file.is_file())
+
+
+PACKAGE = Path(__file__).parents[1]
+
+
+def source_files() -> dict[str, Path]:
+    """{module: file} of the project's own, such as "agents" and "runs.plan"."""
+    files = {}
+    for path in sorted(PACKAGE.rglob("*.py")):
+        parts = path.relative_to(PACKAGE).with_suffix("").parts
+        files[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
+    return files
+
+
+def imports(code: str) -> set[str]:
+    """The project's modules that some code imports."""
+    found: set[str] = set()
+    for node in ast.walk(ast.parse(code)):
+        if isinstance(node, ast.ImportFrom) and node.module:
+            package, _, module = node.module.partition(".")
+            if package == "atari_dqn":
+                found |= {module, *(f"{module}.{name.name}".strip(".") for name in node.names)}
+    return found & source_files().keys()

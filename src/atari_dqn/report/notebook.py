@@ -1,0 +1,87 @@
+"""What the notebooks share: their parameters, and the state of the runs that they show."""
+
+import ast
+from typing import Any
+
+from IPython.core.getipython import get_ipython
+
+from atari_dqn import params
+from atari_dqn.analysis.study import Section
+from atari_dqn.params import ParameterError
+from atari_dqn.report.outputs import show_text
+from atari_dqn.runs.files import RunError, project_root, results_folder
+from atari_dqn.runs.run import COMPLETE, STALE, Run
+
+
+def injected() -> dict[str, Any]:
+    """The names that the notebook's parameter cells assign, with their values now.
+
+    The notebook's own cell begins with the line "# Parameters: defaults", the one that papermill
+    adds below it with "# Parameters".
+    """
+    shell = get_ipython()
+    assert shell is not None, "sections.injected() is for notebooks"
+    names: set[str] = set()
+    for source in shell.user_ns["In"]:
+        first, _, _ = source.partition("\n")
+        if first.startswith("# Parameters: defaults"):
+            names.clear()  # run anew, perhaps edited: what was there before does not count
+        elif first.strip() != "# Parameters":
+            continue
+        names |= {
+            node.id
+            for node in ast.walk(ast.parse(source))
+            if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)
+        }
+    return {name: shell.user_ns[name] for name in names}
+
+
+def run_from_notebook(values: dict[str, Any]) -> Run:
+    """The run that experiment.ipynb's parameters describe.
+
+    `agent`, `seed` and `results_dir` are the notebook's own; everything else must be a training
+    parameter. Raises ParameterError, also for an experiment of several variations.
+    """
+    values = dict(values)
+    agent, seed, results = (values.pop(name, None) for name in ("agent", "seed", "results_dir"))
+    resolved = params.resolve(values, project_root() / "params")
+    if resolved.variations:
+        raise ParameterError(
+            f"experiment: {resolved.experiment!r} is not allowed: it has variations, which are "
+            "several runs; `python -m atari_dqn train` with its file trains them"
+        )
+    agent = resolved.agents[0] if agent is None else agent
+    seed = resolved.seeds[0] if seed is None else seed
+    return Run(params.pick(resolved, agent, seed), results_folder(resolved.profile, results))
+
+
+def train(section: Section) -> None:
+    """Trains what is missing of a section's runs. Raises RunError if a run fails."""
+    from atari_dqn.runs import scheduler  # which imports torch
+
+    if failures := scheduler.train_all(section.runs):
+        raise RunError("; ".join(failures))
+
+
+def show_badge(section: Section) -> None:
+    """Says which runs are missing or partial, their share done, and how to finish them."""
+    states = [run.state() for run in section.runs]
+    complete, name = states.count(COMPLETE), section.params.experiment
+    profile = "" if section.params.profile == "full" else f" --profile {section.params.profile}"
+    command = f"`python -m atari_dqn experiments run {name}{profile}`"
+    count = len(section.runs)
+    games = f"{count} run{'s' * (count > 1)} of {section.params.episodes:,} games"
+    if section.episodes.empty:
+        text = f"**Not started.** Planned: {games}. {command} trains them; the curves and tables "
+        text += "of this experiment follow."
+    else:
+        share = "less than 1%" if section.share < 0.01 else f"{section.share:.0%}"
+        text = f"**{complete} of {len(section.runs)} runs complete**{profile and ' (small runs)'}: "
+        text += f"{len(section.episodes):,} games played, {share} of {games}."
+        if complete < len(section.runs):
+            text += f" {command} finishes them."
+    for run, state in zip(section.runs, states, strict=True):
+        if state == STALE:
+            text += f"\n\n{run.name} is stale ({'; '.join(run.changes())}) and not shown."
+    kind = ".badge" if complete == len(section.runs) else ".badge .partial"
+    show_text(f"::: {{{kind}}}\n{text}\n:::")

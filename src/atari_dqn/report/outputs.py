@@ -1,0 +1,106 @@
+"""Labelled output of the report's notebooks: text, figures, tables and films.
+
+Each carries its caption, label, text alternative and origin with it, in the notebook's own output,
+from where `report` takes them into HTML and PDF.
+"""
+
+import base64
+from typing import TYPE_CHECKING, Any
+
+import pandas as pd
+from IPython.display import Markdown, display
+from matplotlib import pyplot as plt
+from matplotlib.figure import Figure
+from matplotlib_inline.backend_inline import set_matplotlib_formats
+
+from atari_dqn.report import plots
+
+if TYPE_CHECKING:  # what plays and draws films takes seconds to import
+    from atari_dqn.report.video import Film
+
+
+def start() -> None:
+    """Prepares a notebook: figures in the project's style, as vector graphics."""
+    plots.style()
+    # bbox_inches: a figure keeps its size, so that places on it can be told beforehand
+    set_matplotlib_formats("svg", bbox_inches=None, metadata={"Date": None, "Creator": None})
+
+
+def show_text(markdown: str) -> None:
+    """Shows computed text."""
+    display(Markdown(markdown))
+
+
+def show_absent(label: str, why: str) -> None:
+    """Holds the place of a figure or table that has nothing to show yet, and says why."""
+    show_text(f"::: {{#{label} .absent}}\n{why}\n:::")
+
+
+def hold_places(*labels: str) -> None:
+    """Holds the places of figures and tables without a word, where a badge has said it all."""
+    show_text(" ".join(f"[]{{#{label} .absent}}" for label in labels))
+
+
+def show_figure(
+    figure: Figure,
+    label: str,
+    caption: str,
+    alt: str,
+    data: str = "",
+    hover: dict[str, Any] | None = None,
+) -> None:
+    """Shows a figure with its caption; `label` (fig-...) is what the text refers to.
+
+    `data` says which files it is drawn from. `hover` (`plots.hover_values`) are the values that
+    the page shows under the pointer.
+    """
+    meta = {"label": label, "caption": caption, "alt": alt, "data": data, "hover": hover}
+    display(figure, metadata={"image/svg+xml": meta})
+    plt.close(figure)
+
+
+def show_film(film: "Film", label: str, caption: str, alt: str, data: str = "") -> None:
+    """Shows a film on the page; on paper, a strip of its pictures. `label` is vid-..."""
+    meta = {
+        "label": label,
+        "caption": caption,
+        "alt": alt,
+        "data": data,
+        "video": base64.b64encode(film.video).decode(),
+        "poster": base64.b64encode(film.poster).decode(),
+    }
+    bundle = {
+        "text/html": f'<video controls loop src="data:video/mp4;base64,{meta["video"]}"></video>',
+        "image/png": base64.b64encode(film.strip).decode(),  # what the report is made from
+    }
+    display(bundle, metadata={"image/png": meta}, raw=True)
+
+
+def show_table(table: pd.DataFrame, label: str, caption: str, decimals: int = 2) -> None:
+    """Shows a table with its caption; missing numbers are dashes."""
+    shown = table.astype(object).where(table.notna(), "–")
+    shown = shown.map(lambda cell: f"{cell:.{decimals}f}" if isinstance(cell, float) else cell)
+    right = tuple("right" if kind.kind in "if" else "left" for kind in table.dtypes)
+    text = shown.to_markdown(index=False, disable_numparse=True, colalign=right)
+    head, _, *rows = text.splitlines()
+    # Where a row is longer than a line, pandoc shares the width out by these dashes.
+    dashes = (
+        "-" * width + "-:" if side == "right" else ":-" + "-" * width
+        for width, side in zip(_widths(shown), right, strict=True)
+    )
+    text = "\n".join([head, f"|{'|'.join(dashes)}|", *rows])
+    show_text(f"{text}\n\n: {caption} {{#{label}}}")
+
+
+WIDEST = 44  # letters; a longer cell is broken into lines
+
+
+def _widths(shown: pd.DataFrame) -> list[int]:
+    """Letters that each column needs: those of its longest cell, within reason, and never fewer
+    than those of its longest word."""
+    widths = []
+    for name, column in shown.items():
+        cells = [str(name), *map(str, column)]
+        word = max(len(part) for cell in cells for part in cell.split())
+        widths.append(max(min(word, WIDEST), min(max(map(len, cells)), WIDEST)))
+    return widths

@@ -1,0 +1,117 @@
+"""What the console's own memory tells: which punches score in Boxing, and how a game repeats.
+
+Cells of positions and scores as Anand et al. (2019, AtariARI) annotate them. The arms' cells are
+measured: while FIRE is held, an arm goes out by 8 a frame, up to 72 (tests/test_ramtrace.py).
+"""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+import seaborn as sns
+from matplotlib import pyplot as plt
+from matplotlib.figure import Figure
+
+from atari_dqn.envs import AtariGame
+from atari_dqn.games import GAMES, boxing_points
+from atari_dqn.report.plots import WIDTH
+
+HOLD = 4  # frames that a random action is held, as an agent would
+
+
+class Cells(NamedTuple):
+    """Where the memory keeps a boxer."""
+
+    x: int  # pixels, left to right
+    y: int  # pixels, top to bottom
+    score: int  # points: a decimal digit in each half of the byte, or 0xC0 for a knock-out
+    arms: tuple[int, int]  # how far each arm is out, 0 to 72
+
+
+assert GAMES["boxing"].boxers
+_AGENT, _COMPUTER = GAMES["boxing"].boxers
+BOXERS = {
+    "agent": Cells(*_AGENT, score=18, arms=(55, 57)),
+    "computer": Cells(*_COMPUTER, score=19, arms=(59, 61)),
+}
+
+
+class Punch(NamedTuple):
+    """A punch that scored; distances and arm as they were a frame before the score changed."""
+
+    game: int
+    boxer: str
+    points: int
+    dx: int  # pixels between the boxers
+    dy: int
+    arm: int  # of the boxer's two, the one that is farther out
+
+
+def scoring_punches(games: int, seed: int = 0) -> Iterator[tuple[Punch, np.ndarray]]:
+    """Plays games with random actions; yields every punch that scores, of either boxer, and the
+    picture at that moment, uint8 [210, 160, 3]."""
+    game, rng = AtariGame("boxing", frame_skip=1), np.random.default_rng(seed)
+    agent, computer = BOXERS.values()
+    for number in range(games):
+        game.reset(seed=seed + number)
+        over, before = False, game.ram().tolist()
+        while not over:
+            if game.length % HOLD == 0:
+                action = int(rng.integers(len(game.actions)))
+            over = game.step(action)[2]
+            after = game.ram().tolist()
+            for name, cells in BOXERS.items():
+                gained = boxing_points(after[cells.score]) - boxing_points(before[cells.score])
+                if gained:
+                    dx = abs(before[computer.x] - before[agent.x])
+                    dy = abs(before[computer.y] - before[agent.y])
+                    arm = max(before[cell] for cell in cells.arms)
+                    yield Punch(number, name, gained, dx, dy, arm), game.render()
+            before = after
+
+
+def summary(punches: pd.DataFrame) -> pd.DataFrame:
+    """A row a boxer and number of points: how many punches, how near, how far the arm was out."""
+    near, arm = ("min", "median", "max"), ("min", "max")
+    columns = {"punches": ("dx", "size")} | {f"distance, {how}": ("dx", how) for how in near}
+    columns |= {f"arm, {how}": ("arm", how) for how in arm}
+    return punches.groupby(["boxer", "points"]).agg(**columns).reset_index()
+
+
+def frames_figure(pictures: dict[int, np.ndarray]) -> Figure:
+    """The television's picture as a punch lands, by the points that it scores."""
+    figure, panels = plt.subplots(1, len(pictures), figsize=(WIDTH, 2.6))
+    for axes, (gained, picture) in zip(panels, sorted(pictures.items()), strict=True):
+        axes.imshow(picture[:, 8:], aspect=4 / 7)  # a television's pixels are wider than high
+        axes.set_title(f"{gained} point{'s' * (gained > 1)}", fontsize="medium")
+        axes.axis("off")
+    return figure
+
+
+def punches_figure(punches: pd.DataFrame) -> Figure:
+    """The punches by distance, and by how far the arm was out."""
+    figure, (left, right) = plt.subplots(1, 2, figsize=(WIDTH, 2.5), sharey=False)
+    shared = {"hue": "points", "multiple": "stack", "palette": "colorblind", "alpha": 0.85}
+    sns.histplot(punches, x="dx", discrete=True, ax=left, legend=False, **shared)
+    left.set(xlabel="horizontal distance of the boxers (pixels)", ylabel="punches that scored")
+    sns.histplot(punches, x="arm", bins=np.arange(28, 77, 8), ax=right, **shared)
+    right.set(xlabel="how far the arm was out (72: fully)", ylabel="", xticks=range(32, 73, 8))
+    return figure
+
+
+def first_difference(game: str, sticky_actions: float, steps: int) -> int | None:
+    """Plays the same random actions in two games that differ in their seeds only.
+
+    Returns the first agent step after which the two memories differ, None if they never do.
+    """
+    pair = [AtariGame(game, noop_max=0, sticky_actions=sticky_actions) for _ in range(2)]
+    for seed, one in enumerate(pair):
+        one.reset(seed=seed)
+    actions = np.random.default_rng(0).integers(len(pair[0].actions), size=steps)
+    for step, action in enumerate(actions, start=1):
+        for one in pair:
+            one.step(int(action))
+        if (pair[0].ram() != pair[1].ram()).any():
+            return step
+    return None

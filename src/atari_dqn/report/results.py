@@ -1,0 +1,354 @@
+"""The exhibits that every section about an experiment has: curves, marks, evaluation, values."""
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from atari_dqn import params
+from atari_dqn.analysis.statistics import MARKS, interval, scores_at_marks, with_interval
+from atari_dqn.analysis.study import Section, data
+from atari_dqn.params import HELD_OUT_STATES
+from atari_dqn.report import plots
+from atari_dqn.report.outputs import hold_places, show_absent, show_figure, show_table, show_text
+
+
+def show_curves(section: Section) -> None:
+    """The learning curves of the section's runs, as far as they have come."""
+    label, window, facts = f"fig-{section.slug}-curves", section.curve_window, section.facts
+    if section.episodes.empty:
+        hold_places(label)
+        return
+    if section.episodes.episode.max() < window:
+        show_absent(
+            label, f"A learning curve, of means of {window} games, follows after that many games."
+        )
+        return
+    game = section.params.game
+    published = data("published")
+    points = {"frames": published["frames"], **published.get(game, {})}
+    figure, hover = plots.learning_curves(
+        section.episodes, facts, window, points if section.usual else None
+    )
+    references = " Dotted: a human tester and random play"
+    if game in published:
+        references += "; the marks are agents trained with sticky actions [@dopamine2018]"
+    show_figure(
+        figure,
+        label=label,
+        caption=f"{facts.title}, `{section.params.experiment}`: raw score while training, with "
+        f"exploration, against games, frames and hours (by the clock, on a machine that had other "
+        f"work at times); each point is the mean of the last {window} games "
+        f"({section.counted()}). Without sticky actions." + f"{references}." * section.usual,
+        alt=f"Learning curves of the agents in {facts.title}: mean score against games played, "
+        "frames and hours.",
+        data=section.origin + "episodes.csv and timing.csv",
+        hover=hover,
+    )
+
+
+def show_marks(section: Section) -> None:
+    """The mean score of the last games at each mark that a run has reached, and the source
+    report's."""
+    label = f"tbl-{section.slug}-marks"
+    step = section.params.episodes / len(MARKS)
+    marks = tuple(dict.fromkeys(round(step * (index + 1)) for index in range(len(MARKS))))
+    if section.episodes.empty:
+        hold_places(label)
+        return
+    if section.episodes.episode.max() < marks[0]:
+        show_absent(label, f"A table of mean scores follows after the first {marks[0]:,} games.")
+        return
+    ours = scores_at_marks(section.episodes, marks, section.mark_window).reset_index()
+    ours["seed"] = [f"ours, seed {seed}" for seed in ours.seed]
+    tables = [ours]
+    source = data("source_report")
+    theirs = source.get(section.params.experiment, {}) if marks == MARKS else {}
+    for agent, scores in theirs.items():
+        row = dict(zip(source["marks"], scores, strict=True))
+        tables.append(pd.DataFrame([{"agent": agent, "seed": "source report", **row}]))
+    table = pd.concat(tables).sort_values("agent", key=_rank, kind="stable").astype({"seed": str})
+    table[list(marks)] = table[list(marks)].astype(float)
+    table["agent"] = table.agent.map(params.title)
+    facts = section.facts
+    show_table(
+        table.rename(columns={"seed": "whose"}),
+        label=label,
+        caption=f"{facts.title}, `{section.params.experiment}`: mean raw score of "
+        f"{section.mark_window} games up to each number of games played ({section.counted()})."
+        + f" Human {facts.human:g}, random play {facts.random:g} [@dqnzoo2020]."
+        * section.usual,
+    )
+
+
+def _rank(agents: pd.Series) -> pd.Series:
+    return agents.map({name: place for place, name in enumerate(params.AGENT_NAMES)})
+
+
+def show_evaluations(section: Section) -> None:
+    """The evaluation games of every finished run, with an interval over the games played."""
+    figure, table = f"fig-{section.slug}-evaluation", f"tbl-{section.slug}-evaluation"
+    if section.evaluations.empty:
+        if not section.episodes.empty:
+            show_text("*No agent has been evaluated yet.*")
+        hold_places(figure, table)
+        return
+    games = section.evaluations.groupby(["agent", "seed"]).size().min()
+    p = section.params
+    show_figure(
+        plots.score_distributions(section.evaluations),
+        label=figure,
+        caption=f"{section.facts.title}, `{p.experiment}`: scores of the evaluation games "
+        f"({games} games a run; {p.evaluation_epsilon:.1%} of the actions are random).",
+        alt=f"Box plots of each agent's evaluation scores in {section.facts.title}.",
+        data=section.origin + "evaluations.csv",
+    )
+    rows = [
+        _evaluated(section, str(agent), int(seed), games)
+        for (agent, seed), games in section.evaluations.groupby(["agent", "seed"], sort=False)
+    ]
+    guessed = section.random_play
+    if not guessed.empty:
+        rows.append({"agent": "random play", "games": len(guessed), **_summary(section, guessed)})
+    show_table(
+        pd.DataFrame(rows).astype({"seed": "Int64", "training games": "Int64"}),
+        label=table,
+        caption=f"{section.facts.title}, `{p.experiment}`: evaluation games at difficulty "
+        f"{p.difficulty}. The interval is over the games of a run (bootstrap), not over seeds; "
+        f"games start from {p.noop_max} different idle openings only, so that it is somewhat too "
+        "narrow.",
+        decimals=1,
+    )
+
+
+def show_conditions(section: Section) -> None:
+    """The evaluation games at other difficulties, and with sticky actions."""
+    label, p = f"tbl-{section.slug}-conditions", section.params
+    played, keys = section.all_evaluations, ["agent", "seed", "difficulty", "sticky_actions"]
+    if not played.empty:
+        played = played[played.epsilon == p.evaluation_epsilon]
+    if played.empty or len(played[keys[2:]].drop_duplicates()) < 2:
+        hold_places(label)
+        return
+    rows = []
+    for (agent, seed, difficulty, sticky), games in played.groupby(keys, sort=False):
+        rows.append(
+            {
+                "agent": params.title(str(agent)),
+                "seed": int(seed),
+                "difficulty": int(difficulty),
+                "sticky": f"{sticky:g}",
+                **_summary(section, games),
+            }
+        )
+    show_table(
+        pd.DataFrame(rows),
+        label=label,
+        caption=f"{section.facts.title}, `{p.experiment}`: evaluation games under other conditions "
+        f"than those of the training too, which were difficulty {p.difficulty} and a probability "
+        f"of sticky actions of {p.sticky_actions:g}. "
+        "Intervals are over games.",
+        decimals=1,
+    )
+
+
+def show_discounts(sections: list[Section], agent: str, label: str) -> None:
+    """One agent's curves with different discounts."""
+    curves = [
+        section.episodes[section.episodes.agent == agent].assign(
+            variation=f"discount {section.params.gamma:g}"
+        )
+        for section in sections
+        if agent in set(section.episodes.get("agent", []))
+    ]
+    window, facts = sections[0].curve_window, sections[0].facts
+    curves = [curve for curve in curves if len(curve) >= window]
+    if len(curves) < 2:
+        hold_places(label)
+        return
+    show_figure(
+        plots.comparison(pd.concat(curves), facts, window, "variation"),
+        label=label,
+        caption=f"{facts.title}: {params.title(agent)} with different discounts; mean raw score of "
+        f"the last {window} training games.",
+        alt="Learning curves of one agent with different discounts.",
+        data=", ".join(section.origin for section in sections),
+    )
+
+
+def _evaluated(section: Section, agent: str, seed: int, games: pd.DataFrame) -> dict:
+    return {
+        "agent": params.title(agent),
+        "seed": seed,
+        "training games": int(games.trained_games.max()),
+        "games": len(games),
+        **_summary(section, games),
+    }
+
+
+def _summary(section: Section, games: pd.DataFrame) -> dict:
+    """Mean score, interval, and in Boxing the shares of wins and of knock-outs."""
+    row = {"mean score": games.score.mean(), "95% interval": "–"}
+    if len(games) > 1:
+        low, high = interval(games.score.to_numpy())
+        row["95% interval"] = f"{low:.1f} to {high:.1f}"
+    if section.facts.knockout_cells is not None:
+        row["won"] = f"{games.won.mean():.0%}"
+        row["by knock-out"] = f"{(games.knockout == 1).mean():.0%}"
+    return row
+
+
+def show_values(section: Section) -> None:
+    """Predicted against realised values: what overestimation is measured by."""
+    label = f"fig-{section.slug}-values"
+    if section.values.empty:
+        hold_places(label)
+        return
+    show_figure(
+        plots.value_errors(section.values),
+        label=label,
+        caption=f"{section.facts.title}, `{section.params.experiment}`: the value that the "
+        "network predicts for the states of four greedy games (solid), and the discounted return "
+        "that followed them, in rewards as the agent learns from them (dashed), every 100 training "
+        "games. Where the prediction lies above what followed, the network overestimates. A point "
+        "is four games, so that single dips mean little. Dotted: the prediction for "
+        f"{HELD_OUT_STATES} states of random play, always the same ({section.counted()}).",
+        alt="Predicted and realised values of states against training games, a panel an agent.",
+        data=section.origin + "values.csv",
+    )
+
+
+def show_variations(section: Section, reference: Section, agent: str) -> None:
+    """The curves of a sweep beside the same games of the unchanged set-up, and their table."""
+    figure, table = f"fig-{section.slug}-curves", f"tbl-{section.slug}"
+    games, window = section.params.episodes, section.curve_window
+    sweep = section.episodes
+    if sweep.empty or sweep.episode.max() < window:
+        hold_places(figure, table)
+        return
+    unchanged = reference.episodes
+    if not unchanged.empty:
+        unchanged = unchanged[(unchanged.agent == agent) & (unchanged.episode <= games)]
+        sweep = pd.concat([unchanged.assign(variation="unchanged"), sweep])
+    show_figure(
+        plots.comparison(sweep, section.facts, window, "variation"),
+        label=figure,
+        caption=f"{section.facts.title}, `{section.params.experiment}`: one change at a time, "
+        f"{params.title(agent)}; mean raw score of the last {window} training games "
+        f"({section.counted()}).",
+        alt="Learning curves of the variations and of the unchanged set-up.",
+        data=section.origin + "episodes.csv",
+    )
+    last = sweep[sweep.episode > sweep.groupby("variation").episode.transform("max") - window]
+    evaluated = section.evaluations
+    greedy = {} if evaluated.empty else evaluated.groupby("variation").score.mean().to_dict()
+    rows = [
+        {
+            "variation": name,
+            "games": int(found.episode.max()),
+            "hours": found.seconds.max() / 3600,
+            f"mean of the last {window} games": found.score.mean(),
+            "95% interval": "{:.1f} to {:.1f}".format(*interval(found.score.to_numpy())),
+            "evaluation": greedy.get(name, np.nan),
+        }
+        for name, found in last.groupby("variation", sort=False)
+        if len(found) > 1
+    ]
+    if not rows:
+        show_absent(table, "No variation has played enough games for a mean.")
+        return
+    show_table(
+        pd.DataFrame(rows),
+        label=table,
+        caption=f"{section.facts.title}, `{section.params.experiment}`: hours by the clock on "
+        "one core, training scores with exploration, and the mean of the greedy games of a "
+        "finished run. Intervals are over games of one run (bootstrap), not over seeds.",
+        decimals=1,
+    )
+
+
+LOWEST = -100.0  # points, the worst that a game of Boxing can end with
+
+
+def show_transfer(transferred: Section, scratch: Section) -> None:
+    """What starting from another game's agent is worth (Taylor and Stone, 2009)."""
+    label, window = "tbl-transfer", transferred.mark_window
+    rows = []
+    for agent in transferred.params.agents:
+        pair = (transferred, scratch)
+        ours, theirs = (_curve(section, agent) for section in pair)
+        games = min(len(ours), len(theirs))  # that both have played
+        if games < window:
+            continue
+        gain = ours[:games] - theirs[:games]
+        early = [_greedy(section, agent, window) for section in pair]
+        rows.append(
+            {
+                "agent": params.title(agent),
+                "games": games,
+                "early, greedy": early[0] - early[1],
+                "area ratio": gain.sum() / (theirs[:games] - LOWEST).sum(),
+                "at the end": gain[-window:].mean(),
+            }
+        )
+    if not rows:
+        hold_places(label)
+        return
+    show_table(
+        pd.DataFrame(rows),
+        label=label,
+        caption=f"{transferred.facts.title}: what the start from Breakout is worth, over the games "
+        f"that both runs have played: difference in points in the greedy games (four a check) of "
+        f"the first {window} training games; area between the curves as a share of that from "
+        f"{LOWEST:g} points to the curve from scratch; difference in points in the last {window} "
+        "training games.",
+    )
+
+
+def _greedy(section: Section, agent: str, games: int) -> float:
+    """Mean score of the greedy games during an agent's first training games; nan without any."""
+    values = section.values
+    if values.empty:
+        return np.nan
+    return values[(values.agent == agent) & (values.episode <= games)].score.mean()
+
+
+def _curve(section: Section, agent: str) -> np.ndarray:
+    """Mean score of each training game, over seeds that all have played it: float64 [games]."""
+    if section.episodes.empty:
+        return np.empty(0)
+    own = section.episodes[section.episodes.agent == agent]
+    reached = own.groupby("seed").episode.max().min()  # by every seed
+    return own[own.episode <= reached].groupby("episode").score.mean().to_numpy()
+
+
+def show_playstyle(sections: Iterable[Section], label: str) -> None:
+    """A row an evaluated run: points scored and conceded a minute, and the boxers' distance."""
+    rows: list[dict[str, Any]] = []
+    for section in sections:
+        if section.evaluations.empty:
+            continue
+        for (agent, seed), games in section.evaluations.groupby(["agent", "seed"], sort=False):
+            row = {
+                "discount": f"{section.params.gamma:g}",
+                "agent": params.title(str(agent)),
+                "seed": seed,
+                "training games": int(games.trained_games.max()),
+            }
+            for column, name in (
+                ("scored_a_minute", "points scored"),
+                ("conceded_a_minute", "points conceded"),
+                ("distance", "distance (pixels)"),
+            ):
+                row[name] = with_interval(games[column].to_numpy())
+            rows.append(row)
+    if not rows:
+        show_absent(label, "A table of play styles follows when an agent has been evaluated.")
+        return
+    show_table(
+        pd.DataFrame(rows),
+        label=label,
+        caption="How the agents box in the greedy games of their evaluation: points a minute, and "
+        "the mean distance of the two boxers, with bootstrap intervals over games.",
+    )

@@ -1,0 +1,303 @@
+"""Playing a run's games again from their records, and comparing them with the run's tables."""
+
+import csv
+import json
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from atari_dqn import evaluation, params
+from atari_dqn.envs import GameRecord, learned_reward
+from atari_dqn.params import Parameters
+from atari_dqn.runs import records
+from atari_dqn.runs.evaluations import evaluations_lock
+from atari_dqn.runs.records import EVALUATION, KEYS, TRAINING, VALUES, Game, Heading, RecordError
+from atari_dqn.runs.run import COMPLETE
+
+Facts = dict[str, float]  # what is known of a game, by the names of the tables' columns
+TABLES = {TRAINING: "episodes.csv", VALUES: "values.csv", EVALUATION: "evaluations.csv"}
+ROWS = {**KEYS, VALUES: ("episode",)}  # the columns that tell a table's rows apart
+LENGTHS = ("score", "length", "frames")
+# The columns that a game played again has its own numbers for
+COMPARED = {
+    TRAINING: LENGTHS,
+    VALUES: ("score", "realised"),
+    EVALUATION: (*LENGTHS, "won", "knockout", "scored", "conceded", "distance"),
+}
+
+
+class Difference(Exception):
+    """A stored run whose tables and records do not agree; the message says where first."""
+
+
+@dataclass(frozen=True)
+class Stored:
+    """What a run's folder says of its games."""
+
+    folder: Path
+    params: Parameters
+    provenance: dict[str, Any]
+    complete: bool
+    tables: dict[str, list[Facts]]  # by the kinds of games
+    games: list[Game]
+
+
+def verify(folder: Path, games: int | None) -> Iterator[str]:
+    """Plays games of a stored run again, and yields the name of each that agrees.
+
+    `games` of training and evaluation, evenly spaced, or None for all, among them the greedy games
+    behind values.csv. That the tables and the records are whole, and list the same games, is
+    always checked. Of a run that is not complete, the last games may be in no table yet. Raises
+    Difference at the first that is not as the tables say, RecordError or ParameterError if a file
+    cannot be read.
+    """
+    stored = _stored(folder)
+    _compare_lists(stored)
+    rows = {(kind, *_key(kind, row)): row for kind in TABLES for row in stored.tables[kind]}
+    chosen = [game for game in stored.games if (_place(game) in rows and game[0]["kind"] != VALUES)]
+    if games is not None and games < len(chosen):
+        chosen = [chosen[at] for at in np.linspace(0, len(chosen) - 1, games).round().astype(int)]
+    for heading, record in chosen:
+        facts = outcome(records.settings(stored.params, heading), record)
+        _compare(stored, _name(heading), heading["kind"], facts, rows[_place((heading, record))])
+        yield _name(heading)
+    for row in stored.tables[VALUES] if games is None else []:
+        behind = [
+            record
+            for heading, record in stored.games
+            if heading["kind"] == VALUES and heading["episode"] == row["episode"]
+        ]
+        facts = _values(stored.params, behind)
+        name = f"the {len(behind)} greedy games after game {row['episode']:g}"
+        _compare(stored, name, VALUES, facts, row)
+        yield name
+
+
+def stored_parameters(folder: Path) -> Parameters:
+    """The parameters of a stored run."""
+    path = folder / params.STORED
+    return params.parse(params.read_values(path), str(path))
+
+
+def outcome(parameters: Parameters, record: GameRecord) -> Facts:
+    """What a recorded game comes to when it is played again."""
+    distances: list[float] = []
+    for game in records.replay(parameters, record):
+        if game.length:
+            distances.append(game.distance())
+    scored, conceded = game.points()
+    return {
+        "score": game.score,
+        "length": game.length,
+        "frames": game.frames,
+        "won": game.score >= game.facts.wins_at,
+        "knockout": game.knockout(),
+        "scored": scored,
+        "conceded": conceded,
+        "distance": float(np.mean(distances)) if distances else float("nan"),
+    }
+
+
+def find(folder: Path, episode: int) -> GameRecord:
+    """The record of a training game. Raises RecordError if there is none."""
+    games = [game for game in records.read_file(folder) if game[0]["kind"] == TRAINING]
+    for heading, record in games:
+        if heading["episode"] == episode:
+            return record
+    there = [heading["episode"] for heading, _ in games]
+    which = f"it has {min(there)} to {max(there)}" if there else "it has none"
+    raise RecordError(f"{folder / records.FILE} has no training game {episode}; {which}")
+
+
+def _values(parameters: Parameters, behind: list[GameRecord]) -> Facts:
+    """What the greedy games behind a row of values.csv come to."""
+    scores, returns = [], []
+    for record in behind:
+        rewards: list[float] = []
+        score, lives = 0.0, 0
+        for game in records.replay(parameters, record):
+            if game.length:
+                raw, life_lost = game.score - score, game.lives < lives
+                rewards.append(learned_reward(parameters, raw, life_lost))
+            score, lives = game.score, game.lives
+        scores.append(score)
+        returns.append(evaluation.discounted(rewards, parameters.gamma))
+    return {
+        "score": float(np.mean(scores)),
+        "realised": float(np.concatenate(returns).mean()),
+    }
+
+
+# ---- Reading ------------------------------------------------------------------------------------
+
+
+def _stored(folder: Path) -> Stored:
+    parameters = stored_parameters(folder)
+    with evaluations_lock(folder):  # and the tables first: no row is written before its record
+        provenance, status = (_json(folder / f"{name}.json") for name in ("provenance", "status"))
+        complete = status.get("state") == COMPLETE
+        tables = {kind: _table(folder, kind, complete) for kind in TABLES}
+        games = records.read_file(folder, torn=not complete)
+    if provenance.get("identity") != parameters.identity():
+        raise Difference(f"{folder / params.STORED} is not what provenance.json says of the run")
+    if complete and status.get("episodes_done") != len(tables[TRAINING]):
+        raise Difference(
+            f"{folder}: episodes.csv has {len(tables[TRAINING])} games, and status.json says "
+            f"{status.get('episodes_done')}"
+        )
+    total = 0.0
+    for row in tables[TRAINING]:  # whose frames are those of all games so far
+        total, row["frames"] = row["frames"], row["frames"] - total
+    return Stored(folder, parameters, provenance, complete, tables, games)
+
+
+def _json(path: Path) -> dict[str, Any]:
+    try:
+        values = json.loads(path.read_bytes())
+    except ValueError as error:
+        raise RecordError(f"{path} is damaged: {error}") from None
+    if not isinstance(values, dict):
+        raise RecordError(f"{path} is damaged: {values!r}")
+    return values
+
+
+def _table(folder: Path, kind: str, complete: bool) -> list[Facts]:
+    """The rows of a table, as far as verifying needs them."""
+    path = folder / TABLES[kind]
+    if kind == EVALUATION and not path.exists():
+        return []  # the run's end makes it
+    try:
+        text = path.read_text(encoding="utf-8")
+    except UnicodeDecodeError as error:
+        raise RecordError(f"{path} is damaged: {error}") from None
+    if complete and not text.endswith("\n"):
+        raise RecordError(f"{path} is damaged: its last line is cut short")
+    lines = text[: text.rfind("\n") + 1].splitlines()
+    reader = csv.DictReader(lines)
+    columns = [*ROWS[kind], *COMPARED[kind]]
+    for name in columns:
+        if name not in (reader.fieldnames or []):
+            raise RecordError(f"{path} is damaged: it has no column {name!r}")
+    return [
+        {name: _number(f"{path}, line {line}", name, row[name]) for name in columns}
+        for line, row in enumerate(reader, 2)
+    ]
+
+
+def _number(place: str, name: str, text: str | None) -> float:
+    special = {"True": 1.0, "False": 0.0, "": float("nan")}
+    try:
+        return special[text or ""] if not text or text in special else float(text)
+    except ValueError:
+        raise RecordError(f"{place}: {name}: {text!r} is not a number") from None
+
+
+# ---- Comparing ----------------------------------------------------------------------------------
+
+
+def _key(kind: str, row: Heading | Facts) -> tuple:
+    """What tells a row of a table from the others."""
+    return tuple(row[name] for name in ROWS[kind])
+
+
+def _place(game: Game) -> tuple:
+    heading, _ = game
+    return (heading["kind"], *_key(heading["kind"], heading))
+
+
+def _name(heading: Heading) -> str:
+    rest = ", ".join(f"{key} {value:g}" for key, value in heading.items() if key != "kind")
+    return f"{heading['kind']} game ({rest})"
+
+
+def _compare(stored: Stored, name: str, kind: str, facts: Facts, row: Facts) -> None:
+    for column in COMPARED[kind]:
+        if not np.array_equal(facts[column], row[column], equal_nan=True):
+            raise Difference(
+                f"{name}: {column} is {facts[column]:g} when played again, {row[column]:g} in "
+                f"{stored.folder / TABLES[kind]}{_other_emulator(stored)}"
+            )
+
+
+def _other_emulator(stored: Stored) -> str:
+    here = version("ale-py")
+    there = {stretch["versions"]["ale-py"] for stretch in stored.provenance["sessions"]}
+    return "" if there == {here} else f" (played with ale-py {', '.join(there)}, here is {here})"
+
+
+def _compare_lists(stored: Stored) -> None:
+    """Raises Difference unless the tables have every game that they should have, once, and just
+    these are on record."""
+    for kind, table in TABLES.items():
+        path = stored.folder / table
+        keys = Counter(_key(kind, row) for row in stored.tables[kind])
+        for key, times in keys.items():
+            if times > 1:
+                raise Difference(f"{path} has {times} rows of {_named(kind, key)}")
+        for key in _wanted(stored, kind):
+            if key not in keys:
+                raise Difference(f"{path} has no row of {_named(kind, key)}")
+    recorded = Counter(tuple(heading.items()) for heading, _ in stored.games)
+    path = stored.folder / records.FILE
+    for heading, times in recorded.items():
+        if times > 1:
+            raise Difference(f"{path} has {times} times the {_name(dict(heading))}")
+    if not stored.games:
+        raise Difference(f"{path} has no game")
+    there = Counter(_place(game) for game in stored.games)
+    for kind, table in TABLES.items():
+        rows = {(kind, *_key(kind, row)) for row in stored.tables[kind]}
+        each = evaluation.VALUE_GAMES if kind == VALUES else 1
+        for place in rows:
+            if there[place] != each:
+                raise Difference(
+                    f"{path} has {there[place]} games, not {each}, of "
+                    f"{_named(kind, place[1:])} in {table}"
+                )
+        beyond = [place for place in there if place[0] == kind and place not in rows]
+        last = max((place[1] for place in rows), default=0)
+        for place in beyond:
+            if kind == EVALUATION:
+                remedy = "; `evaluate` with the same settings writes both again"
+            elif not stored.complete and place[1] > last:
+                continue  # a game whose row was about to be written
+            else:
+                remedy = ""
+            raise Difference(
+                f"{_named(kind, place[1:])} is on record, but not in {stored.folder / table}"
+                f"{remedy}"
+            )
+
+
+def _named(kind: str, key: tuple) -> str:
+    return _name({"kind": kind, **dict(zip(ROWS[kind], key, strict=True))})
+
+
+def _wanted(stored: Stored, kind: str) -> list[tuple]:
+    """The keys that a table must have."""
+    count = len(stored.tables[TRAINING])
+    if kind == TRAINING:
+        return [(episode,) for episode in range(1, count + 1)]
+    if kind == VALUES:
+        every = evaluation.VALUES_PERIOD
+        checked = count if stored.complete else count - 1  # the last check may be under way
+        return [(episode,) for episode in range(every, checked + 1, every)]
+    if not stored.complete:
+        return []
+    return [
+        (
+            count,
+            setting.difficulty,
+            setting.sticky_actions,
+            setting.evaluation_epsilon,
+            setting.seeds[0],
+            game,
+        )
+        for setting in evaluation.conditions(stored.params)
+        for game in range(setting.evaluation_games)
+    ]

@@ -1,0 +1,67 @@
+"""Evaluating a stored run: its model plays, and its folder remembers the games."""
+
+import os
+from contextlib import AbstractContextManager, nullcontext
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+from filelock import FileLock
+from tqdm import tqdm
+
+from atari_dqn import evaluation
+from atari_dqn.evaluation import PlayedGame
+from atari_dqn.runs import models, records
+from atari_dqn.runs.files import write_atomically
+from atari_dqn.training import prepare_process
+
+
+def evaluate(folder: Path, overrides: dict[str, Any], games: int | None = None) -> pd.DataFrame:
+    """Plays a stored run's model, stores the games in its evaluations.csv and returns them.
+
+    `overrides` replace parameters of the run (difficulty, sticky_actions, evaluation_epsilon).
+    Raises RunError, RecordError or ParameterError on bad input.
+    """
+    prepare_process()
+    network, parameters = models.stored_agent(folder, overrides)
+    if (folder / records.FILE).exists():
+        records.read_file(folder)  # lest games are played that cannot be added to a damaged file
+    games = games or parameters.evaluation_games
+    seed, trained = parameters.seeds[0], models.trained_games(folder / "model.safetensors")
+    player = evaluation.player_of(network, parameters)
+    playing = evaluation.play(player, parameters, games, seed)
+    played = list(tqdm(playing, total=games, desc="evaluating", unit="game", mininterval=2))
+    store_evaluation(folder, played, trained)
+    table = pd.DataFrame([game.row() for game in played])
+    return table.sort_values("game", ignore_index=True)
+
+
+def evaluations_lock(folder: Path) -> AbstractContextManager:
+    """To be held while evaluations or records are written, or read together: a run may train, or
+    end, while another process evaluates it. Nobody changes a folder that cannot be written to."""
+    if not os.access(folder, os.W_OK):
+        return nullcontext()
+    return FileLock(folder / ".evaluations.lock")
+
+
+def store_evaluation(folder: Path, played: list[PlayedGame], trained_games: int) -> None:
+    """Adds games of a model, after so many games of training, to evaluations.csv and to the games
+    on record, in the place of the same games of the same model and settings."""
+    path, recorded = folder / "evaluations.csv", folder / records.FILE
+    table = pd.DataFrame([game.row() for game in played])
+    table["trained_games"] = trained_games
+    settings = ["trained_games", "difficulty", "sticky_actions", "epsilon", "seed"]
+    with evaluations_lock(folder):
+        if path.exists():
+            table = pd.concat([pd.read_csv(path), table])
+        table = table.drop_duplicates([*settings, "game"], keep="last")
+        before = records.read_file(folder) if recorded.exists() else []
+        games = [(_heading(game, trained_games), game.record) for game in played]
+        write_atomically(recorded, records.with_evaluations(before, games))
+        write_atomically(path, table.sort_values([*settings, "game"]).to_csv(index=False).encode())
+
+
+def _heading(game: PlayedGame, trained_games: int) -> records.Heading:
+    """What tells a game from all others of its run."""
+    settings = {key: getattr(game, key) for key in records.KEYS[records.EVALUATION][1:]}
+    return {"kind": records.EVALUATION, "trained_games": trained_games, **settings}

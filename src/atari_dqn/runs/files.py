@@ -1,0 +1,40 @@
+"""Where results are, and writing a file there: readers see the old one or the new one."""
+
+import os
+from contextlib import suppress
+from pathlib import Path
+
+
+class RunError(RuntimeError):
+    """A run that cannot be trained or played; the message is one line, to be shown to a user."""
+
+
+def project_root() -> Path:
+    """The folder with pyproject.toml at or above the working folder, else the package's own."""
+    for folder in (Path.cwd(), *Path.cwd().parents, *Path(__file__).parents):
+        if (folder / "pyproject.toml").exists() and (folder / "params").is_dir():
+            return folder
+    raise RunError("no project folder (pyproject.toml and params/) at or above the working folder")
+
+
+def results_folder(profile: str, results: Path | str | None = None) -> Path:
+    """Where results go: `results`, or the project's own folder for a profile's."""
+    if results is not None:
+        return Path(results)
+    folder = project_root() / "results"
+    return folder if profile == "full" else folder / profile
+
+
+def write_atomically(path: Path, data: bytes) -> None:
+    """Readers see the old file or the new one, never a part."""
+    temporary = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        with temporary.open("wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        temporary.replace(path)
+    except OSError as error:
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
+        raise RunError(f"cannot write {path}: {error.strerror}") from error

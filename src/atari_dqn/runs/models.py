@@ -1,0 +1,76 @@
+"""A run's published models: the online network's weights, float16, in a safetensors file that
+says after how many games of training."""
+
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import load_file, save
+from torch import nn
+
+from atari_dqn import params
+from atari_dqn.agents import AGENTS, torch_device
+from atari_dqn.envs import game_of
+from atari_dqn.params import ParameterError, Parameters
+from atari_dqn.runs.files import RunError
+from atari_dqn.runs.run import COMPLETE, Run
+
+
+def model_bytes(weights: dict[str, torch.Tensor], games: int) -> bytes:
+    """The contents of a model.safetensors: the weights as float16, and the games of training."""
+    half = {name: value.half().contiguous() for name, value in weights.items()}
+    return save(half, {"games": str(games)})
+
+
+def trained_games(path: Path) -> int:
+    """The training games behind a model.safetensors."""
+    with safe_open(path, "pt") as file:
+        return int(file.metadata()["games"])
+
+
+def read_model(path: Path) -> dict[str, torch.Tensor]:
+    """The weights in a model.safetensors, float32."""
+    return {name: value.float() for name, value in load_file(path).items()}
+
+
+def load_model(path: Path, parameters: Parameters) -> nn.Module:
+    """The network of `parameters`' first agent with the weights in `path`."""
+    actions = len(game_of(parameters).actions)
+    network = AGENTS[parameters.agents[0]].network(parameters.frame_stack, actions)
+    network.load_state_dict(read_model(path))
+    return network.requires_grad_(False).to(torch_device(parameters.device))
+
+
+def stored(run: Run) -> dict[int, Path]:
+    """{games of training: file} of a run's stored models: snapshots, and the newest."""
+    paths = [*run.folder.glob("snapshots/*.safetensors"), run.folder / "model.safetensors"]
+    return dict(sorted((trained_games(path), path) for path in paths if path.exists()))
+
+
+def initial_weights(run: Run) -> dict[str, torch.Tensor] | None:
+    """The weights that a run starts from; raises RunError if they are not there yet."""
+    source = run.source()
+    if source is None:
+        return None
+    if source.state() != COMPLETE:
+        raise RunError(f"{run.name} starts from {source.name}, which is {source.state()}")
+    path = source.folder / "model.safetensors"
+    try:
+        return read_model(path)
+    except (SafetensorError, OSError) as error:
+        raise RunError(f"{path}, which {run.name} starts from: {error}") from None
+
+
+def stored_agent(folder: Path, overrides: dict[str, Any]) -> tuple[nn.Module, Parameters]:
+    """A stored run's newest model, and its parameters with `overrides` on top. Raises RunError or
+    ParameterError on bad input."""
+    path = folder / "model.safetensors"
+    if not path.exists():
+        raise ParameterError(f"{folder}: no model.safetensors here; is it a finished run?")
+    values = params.read_values(folder / "params.yaml")
+    parameters = params.parse({**values, **overrides}, str(folder / "params.yaml"))
+    try:
+        return load_model(path, parameters), parameters
+    except (SafetensorError, RuntimeError) as error:
+        raise RunError(f"{path} cannot be read: {str(error).splitlines()[0]}") from None

@@ -1,0 +1,175 @@
+"""Every game of a run on record: `games.jsonl.zst`, from which any of them can be played again.
+
+The file is a row of zstandard frames, each with a checksum of its own; together they hold a line of
+JSON a game (`zstd -dc games.jsonl.zst` shows them). While a run trains, every game adds a frame;
+in the end there is one for every hundred games, which is smaller.
+
+    {"kind": "training", "episode": 12, "idle_frames": 7, "actions": "AKKC..."}
+    {"kind": "values", "episode": 100, "game": 3, ...}
+    {"kind": "evaluation", "trained_games": 3000, "difficulty": 3, "sticky_actions": 0.0,
+     "epsilon": 0.001, "seed": 1, "game": 5, ...}
+
+"values" are the greedy games behind a row of values.csv, "evaluation" those of evaluations.csv.
+`actions` has a letter an agent step, A for the cartridge's first action; where actions are sticky,
+`rng` is the state of numpy's PCG64 that decides when: [state, inc, has_uint32, uinteger], the first
+two as hexadecimal text.
+"""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import zstandard
+
+from atari_dqn.envs import AtariGame, GameRecord, game_of
+from atari_dqn.params import Parameters
+
+FILE = "games.jsonl.zst"
+TRAINING, VALUES, EVALUATION = "training", "values", "evaluation"
+LEVEL = 19  # of compression: a millisecond a game
+FRAME = 100  # games, once a run is complete
+CHUNK = 4096  # bytes read at once
+
+
+Heading = dict[str, Any]  # kind, episode, ...: what tells a game from all others of its run
+Game = tuple[Heading, GameRecord]
+
+
+class RecordError(RuntimeError):
+    """A file of records that cannot be read; the message names it."""
+
+
+def encode(games: list[Game]) -> bytes:
+    """Games as they stand in the file, in one frame."""
+    compressor = zstandard.ZstdCompressor(level=LEVEL, write_checksum=True)
+    return compressor.compress(b"".join(_line(*game) for game in games))
+
+
+def _line(heading: Heading, record: GameRecord) -> bytes:
+    values = {**heading, "idle_frames": record.idle_frames}
+    if record.rng is not None:
+        values["rng"] = _flat(record.rng)
+    values["actions"] = "".join(chr(ord("A") + action) for action in record.actions)
+    return json.dumps(values).encode() + b"\n"
+
+
+def _flat(rng: dict[str, Any]) -> list[str | int]:
+    state, inc = (hex(rng["state"][key]) for key in ("state", "inc"))
+    return [state, inc, rng["has_uint32"], rng["uinteger"]]
+
+
+def _game_record(values: dict[str, Any]) -> GameRecord:
+    rng = None
+    if "rng" in values:
+        state, inc, has_uint32, uinteger = values["rng"]
+        rng = {
+            "bit_generator": "PCG64",
+            "state": {"state": int(state, 16), "inc": int(inc, 16)},
+            "has_uint32": has_uint32,
+            "uinteger": uinteger,
+        }
+    actions = bytes(ord(letter) - ord("A") for letter in values["actions"])
+    return GameRecord(values["idle_frames"], actions, rng)
+
+
+# What each kind of heading holds besides
+KEYS = {
+    TRAINING: ("episode",),
+    VALUES: ("episode", "game"),
+    EVALUATION: ("trained_games", "difficulty", "sticky_actions", "epsilon", "seed", "game"),
+}
+
+
+def read(data: bytes, source: Path) -> Iterator[Game]:
+    """The headings and records in the bytes of a file, in its order.
+
+    Raises RecordError, which names `source`, at the first frame that is damaged.
+    """
+    games = 0
+    try:
+        for frame in _frames(data):
+            for line in frame.splitlines():
+                heading = json.loads(line)
+                record = _game_record(heading)
+                for key in ("idle_frames", "rng", "actions"):
+                    heading.pop(key, None)
+                if heading.keys() != {"kind", *KEYS[heading["kind"]]}:
+                    raise ValueError(f"no kind of game has the keys {', '.join(heading)}")
+                yield heading, record
+                games += 1
+    except (zstandard.ZstdError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise RecordError(f"{source} is damaged after {games} games: {error}") from None
+
+
+def _frames(data: bytes) -> Iterator[bytes]:
+    """What each zstandard frame holds. Raises ZstdError if one is damaged, ValueError if the last
+    one is not whole."""
+    frame, content, whole = zstandard.ZstdDecompressor().decompressobj(), b"", True
+    for start in range(0, len(data), CHUNK):
+        rest = data[start : start + CHUNK]
+        while rest:
+            content += frame.decompress(rest)
+            whole, rest = frame.eof, frame.unused_data
+            if whole:
+                yield content
+                frame, content = zstandard.ZstdDecompressor().decompressobj(), b""
+    if not whole:
+        raise ValueError("the last game is cut short")
+
+
+def with_evaluations(games: list[Game], new: list[Game]) -> bytes:
+    """The bytes of a file with all these games: those of training first, in their order, and the
+    `new` ones in the place of evaluation games with the same headings."""
+    training = [game for game in games if game[0]["kind"] != EVALUATION]
+    evaluated = {
+        tuple(game[0][name] for name in KEYS[EVALUATION]): game
+        for game in [*games, *new]
+        if game[0]["kind"] == EVALUATION
+    }
+    rows = [*training, *(evaluated[key] for key in sorted(evaluated))]
+    return b"".join(encode(rows[at : at + FRAME]) for at in range(0, len(rows), FRAME))
+
+
+def read_file(folder: Path, torn: bool = False) -> list[Game]:
+    """All that a run's folder has on record; with `torn`, of a damaged file what comes before the
+    damage, since a process may have been killed while it wrote.
+
+    Raises RecordError if there is no file or, unless `torn`, it is damaged.
+    """
+    path, games = folder / FILE, []
+    try:
+        for game in read(path.read_bytes(), path):
+            games.append(game)
+    except OSError as error:
+        raise RecordError(f"{path}: {error.strerror}") from None
+    except RecordError:
+        if not torn:
+            raise
+    return games
+
+
+def settings(params: Parameters, heading: Heading) -> Parameters:
+    """The parameters of a game with this heading in a run with `params`."""
+    changes: dict[str, Any] = {
+        key: heading[key] for key in ("difficulty", "sticky_actions") if key in heading
+    }
+    return params.model_copy(update=changes)
+
+
+def replay(params: Parameters, record: GameRecord) -> Iterator[AtariGame]:
+    """The game before its first action, and after each. Raises RecordError if the cartridge has
+    no such action, or if actions are sticky and the record does not say when."""
+    game = game_of(params)
+    if record.actions and max(record.actions) >= len(game.actions):
+        raise RecordError(f"{params.game} has no action {max(record.actions)}")
+    if (record.rng is None) != (params.sticky_actions == 0):
+        raise RecordError(
+            f"sticky_actions is {params.sticky_actions}, and the record has "
+            f"{'none' if record.rng is None else 'some'} of the chance that they need"
+        )
+    game.reset(options={"record": record})
+    yield game
+    for action in record.actions:
+        game.step(action)
+        yield game

@@ -1,0 +1,100 @@
+"""Labels, numbers and completeness of the report's text."""
+
+import re
+
+import pypandoc
+import pytest
+
+from atari_dqn.report import crossrefs
+from atari_dqn.report.build import TEMPLATES
+from atari_dqn.runs.files import RunError
+
+FIGURE = '![A caption.](a.svg){#fig-one alt="A picture of something."}'
+TEXT = f"""
+# First {{#sec-first}}
+
+See @fig-one, @tbl-one and @eq-one; @sec-second-part is later, and [@mnih2015] is a citation.
+
+{FIGURE}
+
+``` python
+# A comment, no heading {{#sec-no}}
+```
+
+## Inner
+
+# Second {{#sec-second}}
+
+## Part {{#sec-second-part}}
+
+$$a = b$$ {{#eq-one}}
+
+: A caption. {{#tbl-one}}
+
+::: {{#fig-later .absent}}
+Nothing yet.
+:::
+
+`````{{=html}}
+<figure id="vid-film"></figure>
+`````
+
+Compare @vid-film with @fig-later.
+"""
+
+
+def test_references_become_links_with_numbers_in_the_order_of_the_text():
+    text = crossrefs.finish(TEXT)
+    for link in (
+        "[Figure\N{NO-BREAK SPACE}1](#fig-one){.ref}",
+        "[Figure\N{NO-BREAK SPACE}2](#vid-film){.ref}",
+        "[Table\N{NO-BREAK SPACE}1](#tbl-one){.ref}",
+        "[Equation\N{NO-BREAK SPACE}1](#eq-one){.ref}",
+        "[Section\N{NO-BREAK SPACE}2.1](#sec-second-part){.ref}",
+    ):
+        assert link in text
+    assert r"[$$a = b\qquad (1) $$]{#eq-one .equation}" in text
+    assert "[@mnih2015]" in text, "citations are pandoc's"
+
+
+def test_what_is_still_absent_has_no_number_but_can_be_referred_to():
+    assert "[figure still to come](#fig-later){.ref}" in crossrefs.finish(TEXT)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (TEXT + "\nAnd @fig-nowhere.", "labels that do not exist: fig-nowhere"),
+        (TEXT + FIGURE, "labels given twice: fig-one"),
+        (TEXT.replace(' alt="A picture of something."', ""), "text alternative .*: fig-one"),
+        (TEXT.replace("A picture of something.", "Short."), "text alternative .*: fig-one"),
+    ],
+)
+def test_a_bad_label_or_a_silent_figure_fails_and_is_named(text, said):
+    with pytest.raises(RunError, match=said):
+        crossrefs.finish(text)
+
+
+def test_what_the_report_does_not_show_fails_and_is_named(tmp_path):
+    path = tmp_path / "completeness.yaml"
+    path.write_text("figures:\n  - {what: a loop, labels: [fig-one]}\n")
+    assert crossrefs.check_completeness(TEXT, path) == (1, 0)
+    waiting = TEXT + "\n\n::: {#tbl-later .absent}\nNot yet.\n:::\n"
+    path.write_text("figures:\n  - {what: a loop, labels: [fig-one, tbl-later]}\n")
+    assert crossrefs.check_completeness(waiting, path) == (1, 1)
+    path.write_text("figures:\n  - {what: a ring, labels: [fig-ring]}\n")
+    with pytest.raises(RunError, match=r"figures: a ring \(fig-ring\)"):
+        crossrefs.check_completeness(TEXT, path)
+    path.write_text("goals:\n  - {what: a goal, labels: []}\n")
+    with pytest.raises(RunError, match=r"goals: a goal \(no label\)"):
+        crossrefs.check_completeness(TEXT, path)
+
+
+@pytest.mark.parametrize("made", ["html5", "typst"])
+def test_computed_numbers_get_a_minus_sign_and_names_keep_their_hyphens(made):
+    text = "-12.8 (-16.5 to -9.2), 2026-01 seed-1 games 1-500 `-5`"
+    result = pypandoc.convert_text(
+        text, made, "markdown", extra_args=[f"--lua-filter={TEMPLATES / 'report.lua'}"]
+    )
+    assert "−12.8 (−16.5 to −9.2), 2026-01 seed-1 games 1-500" in result
+    assert re.search(r"[`>]-5[`<]", result)  # in code

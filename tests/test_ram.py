@@ -1,0 +1,73 @@
+import pandas as pd
+import pytest
+
+from atari_dqn.envs import FIRE, AtariGame
+from atari_dqn.games import boxing_points
+from atari_dqn.report import ram
+from atari_dqn.report.ram import BOXERS
+
+NOOP = 0
+
+
+def test_a_score_is_two_decimal_digits_or_a_knockout():
+    assert [boxing_points(cell) for cell in (0x00, 0x07, 0x10, 0x99, 0xC0)] == [0, 7, 10, 99, 100]
+
+
+@pytest.fixture
+def game():
+    """A game of Boxing, frame by frame, a moment after the bell."""
+    game = AtariGame("boxing", frame_skip=1, noop_max=0)
+    game.reset(seed=1)
+    for _ in range(20):
+        game.step(NOOP)
+    return game
+
+
+def test_while_fire_is_held_an_arm_goes_out_by_eight_a_frame(game):
+    arm = []
+    for _ in range(12):
+        game.step(FIRE)
+        arm.append(int(max(game.ram()[cell] for cell in BOXERS["agent"].arms)))
+    assert arm == [0, *range(8, 73, 8), 72, 72]
+
+
+@pytest.mark.parametrize(
+    ("distance", "points"), [(14, 2), (17, 2), (20, 1), (26, 1), (29, 1), (40, 0)]
+)
+def test_boxers_held_in_place_score_two_from_near_and_one_from_far(game, distance, points):
+    agent, computer = BOXERS["agent"], BOXERS["computer"]
+    held = {agent.x: 40, agent.y: 40, computer.x: 40 + distance, computer.y: 40 + 16}
+    held |= dict.fromkeys(computer.arms, 0)  # or it hits back in the same frame
+    rewards = []
+    for _ in range(13):
+        for cell, value in held.items():
+            game.ale.setRAM(cell, value)
+        rewards.append(game.step(FIRE)[1])
+    assert sum(rewards) == points
+
+
+def test_the_punches_of_a_game_add_up_to_its_score(monkeypatch):
+    games = []
+
+    class Recorded(AtariGame):
+        def __init__(self, *arguments, **settings):
+            super().__init__(*arguments, **settings)
+            games.append(self)
+
+    monkeypatch.setattr(ram, "AtariGame", Recorded)
+    found = list(ram.scoring_punches(games=1))
+    punches = pd.DataFrame([punch for punch, _ in found])
+    totals = punches.groupby("boxer").points.sum()
+    assert totals["agent"] - totals["computer"] == games[0].score
+    assert set(punches.points) == {1, 2}
+    table = ram.summary(punches)
+    assert table.punches.sum() == len(punches)
+    pictures = {punch.points: picture for punch, picture in found}
+    assert len(ram.frames_figure(pictures).axes) == 2
+    assert len(ram.punches_figure(punches).axes) == 2
+
+
+def test_the_same_actions_repeat_a_game_unless_actions_stick():
+    for name in ("boxing", "breakout"):
+        assert ram.first_difference(name, sticky_actions=0.0, steps=100) is None
+        assert ram.first_difference(name, sticky_actions=0.25, steps=100) <= 50

@@ -1,0 +1,158 @@
+"""Films of short games on the real cartridges, with untrained networks."""
+
+import io
+
+import av
+import cv2
+import numpy as np
+import pytest
+import torch
+
+from atari_dqn.agents import AGENTS
+from atari_dqn.envs import game_of
+from atari_dqn.evaluation import play, player_of
+from atari_dqn.report import video
+from atari_dqn.report.video import play_with_instruments, side_by_side
+
+
+def untrained(params):
+    torch.manual_seed(0)
+    network = AGENTS[params.agents[0]].network(params.frame_stack, len(game_of(params).actions))
+    return network.requires_grad_(False)
+
+
+def decoded(video):
+    """Its pictures, uint8 [pictures, height, width, 3], and its length in seconds."""
+    assert video.index(b"moov") < video.index(b"mdat"), "a player would have to load it all first"
+    with av.open(io.BytesIO(video)) as container:
+        stream = container.streams.video[0]
+        assert (stream.codec_context.name, stream.codec_context.pix_fmt) == ("h264", "yuv420p")
+        pictures = np.stack(
+            [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
+        )
+        return pictures, float(stream.duration * stream.time_base)
+
+
+def image(png):
+    return cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
+
+
+@pytest.mark.parametrize("agent", AGENTS)
+@pytest.mark.parametrize("game", ["boxing", "breakout"])
+def test_the_filmed_game_is_the_evaluated_one(small, game, agent):
+    params = small(game=game, agents=[agent], max_game_frames=1200, evaluation_epsilon=0.3)
+    network = untrained(params)
+    player = player_of(network, params)
+    evaluated = {played.game: played for played in play(player, params, 3, seed=5)}
+    film = play_with_instruments(network, params, "Agent", 5, 2, seconds=(None, 0.2))
+    assert repr(film.games) == repr((evaluated[2],))  # nan is not equal to itself
+
+
+def test_a_film_has_a_picture_a_step_and_holds_the_last_for_a_second(small):
+    params = small(evaluation_epsilon=0.5)
+    film = play_with_instruments(untrained(params), params, "Double DQN", 1, 0)
+    pictures, seconds = decoded(film.video)
+    steps = film.games[0].length
+    assert pictures.shape[0] == steps + 1 + 15
+    assert pictures.shape[2] == video.WIDTH
+    assert seconds == pytest.approx(len(pictures) / 15, abs=0.01)
+    assert (pictures[-1].astype(int) - pictures[-15]).max() < 32, "the last picture is held"
+    assert image(film.poster).shape == pictures.shape[1:]
+    height, width, _ = image(film.strip).shape
+    assert (width, height) > (1200, 400)
+
+
+def test_the_television_and_the_observation_are_those_of_the_game(small):
+    """Decoded pictures, compared with the same game played by hand."""
+    params = small(evaluation_epsilon=1.0)
+    film = play_with_instruments(untrained(params), params, "Agent", 1, 0)
+    pictures, _ = decoded(film.video)
+    table = video.Table(params)
+    table.start(0, seed=1)
+    for picture in pictures[: film.games[0].length]:
+        screen = picture[video.TOP : video.TOP + 420 : 2, video.MARGIN : video.MARGIN + 320 : 2]
+        assert np.abs(screen.astype(int) - table.emulator.render()).mean() < 6
+        x = video.RIGHT + 3 * (84 + video.GAP)
+        newest = picture[video.TOP : video.TOP + 84, x : x + 84, 1]
+        assert np.abs(newest.astype(int) - table.planes[-1].reshape(84, 84)).mean() < 6
+        table.rng.random(1)  # whether to explore, and how, as `epsilon_greedy` draws it
+        table.step(int(table.rng.integers(18, size=1)[0]))
+
+
+def test_the_same_game_gives_the_same_bytes(small):
+    params = small(agents=["dueling_double_dqn"], evaluation_epsilon=0.5)
+    network = untrained(params)
+    contestants = {"one": (network, params), "two": (network, params)}
+    for make in (
+        lambda: play_with_instruments(network, params, "Agent", 1, 0, (None, 1)),
+        lambda: side_by_side(contestants, 1, 0, (None, 1)),
+    ):
+        assert make() == make()
+
+
+@pytest.mark.parametrize(
+    ("seconds", "pictures"), [((None, 1), 15), ((1, 2.4), 21), ((-2, None), 30 + 15)]
+)
+def test_an_excerpt_lasts_as_long_as_was_asked_for(small, seconds, pictures):
+    params = small()
+    network = untrained(params)
+    whole, _ = decoded(play_with_instruments(network, params, "Agent", 1, 0).video)
+    film = play_with_instruments(network, params, "Agent", 1, 0, seconds)
+    part, _ = decoded(film.video)
+    assert len(part) == pictures
+    start = round((seconds[0] or 0) * 15) if (seconds[0] or 0) >= 0 else len(whole) - pictures
+    assert np.abs(part[0].astype(int) - whole[start]).mean() < 3
+
+
+def test_an_excerpt_without_a_picture_is_an_error(small):
+    params = small()
+    with pytest.raises(ValueError, match="lasts 3"):
+        play_with_instruments(untrained(params), params, "Agent", 1, 0, seconds=(60, None))
+
+
+def test_the_value_stream_is_the_mean_of_the_q_values(small):
+    """The dueling network's advantages have mean 0; the others' value is the greatest Q."""
+    for agent, reduce in (("dueling_double_dqn", np.mean), ("double_dqn", np.max)):
+        params = small(agents=[agent], evaluation_epsilon=0.5)
+        recording = video._record(untrained(params), params, seed=1, game=0)
+        expected = reduce(recording.q_values, axis=1)
+        np.testing.assert_allclose(recording.values, expected, atol=1e-6)
+        assert recording.values.std() > 1e-5, "the test would not see a wrong order"
+
+
+def test_three_contestants_play_until_the_last_has_finished(small):
+    lengths = (100, 160, 240)
+    contestants = {}
+    for agent, frames in zip(AGENTS, lengths, strict=True):
+        params = small(agents=[agent], max_game_frames=frames, evaluation_epsilon=0.5)
+        contestants[agent] = (untrained(params), params)
+    film = side_by_side(contestants, 1, 0)
+    pictures, _ = decoded(film.video)
+    assert len(pictures) == max(game.length for game in film.games) + 1 + 15
+    for (network, params), filmed in zip(contestants.values(), film.games, strict=True):
+        assert [filmed] == list(play(player_of(network, params), params, 1, seed=1))
+    bright = [[picture[48:330, x : x + 218].mean() for x in (16, 250, 484)] for picture in pictures]
+    for column, game in enumerate(film.games):
+        during, after = bright[game.length - 1][column], bright[game.length][column]
+        assert after < during / 2, "dimmed once its game is over"
+    assert all(image(png).shape[1] >= video.WIDTH for png in (film.poster, film.strip))
+
+
+def test_contestants_must_keep_the_same_time(small):
+    contestants = {}
+    for skip in (4, 5):
+        params = small(frame_skip=skip)
+        contestants[f"every {skip} frames"] = (untrained(params), params)
+    with pytest.raises(ValueError, match="equally many frames"):
+        side_by_side(contestants, 1, 0)
+
+
+def test_action_names_are_words():
+    names = ["NOOP", "FIRE", "UP", "UPRIGHTFIRE", "DOWNLEFT"]
+    assert [video._words(name) for name in names] == [
+        "noop",
+        "fire",
+        "up",
+        "up right fire",
+        "down left",
+    ]
