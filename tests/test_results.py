@@ -3,7 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
-from test_claims import store
+from synthetic import store
 
 from atari_dqn import exhibits, results
 from atari_dqn.sections import Section

@@ -4,6 +4,7 @@ import pandas as pd
 
 from atari_dqn import runs
 from atari_dqn.claims import FINDINGS, findings
+from atari_dqn.evaluation import VALUE_GAMES
 from atari_dqn.sections import Section, Study, data
 from atari_dqn.statistics import MARKS, trailing_mean
 from atari_dqn.verdicts import NOT_YET
@@ -190,7 +191,7 @@ def _without_exploring(evaluated: pd.DataFrame, checks: pd.DataFrame) -> str:
     if not tried and not checked:
         return ""
     fresh = tried >= checked - RECENT
-    count, games = (len(evaluated), tried) if fresh else ("four", checked)
+    count, games = (len(evaluated), tried) if fresh else (VALUE_GAMES, checked)
     score = evaluated.score.mean() if fresh else checks.score.iloc[-1]
     return f". Playing {count} games greedily after {games:,} of training, it scored {score:.1f}"
 
