@@ -1,6 +1,6 @@
 """Runs made by hand, stored as training would leave them, and what the report shows of them.
 
-Their numbers are round: a hundred games are an hour, a million frames and 250,000 agent steps.
+Their numbers are round: a hundred games are an hour, two million frames and 250,000 agent steps.
 """
 
 import copy
@@ -20,7 +20,7 @@ from atari_dqn.sections import Study
 ROOT = Path(__file__).parents[1]
 AGENTS = ("dqn", "double_dqn", "dueling_double_dqn")
 TITLES = {"dqn": "DQN", "double_dqn": "Double DQN", "dueling_double_dqn": "Dueling Double DQN"}
-SECONDS, FRAMES, STEPS = 36.0, 10_000, 2_500  # a training game: by the clock, and in its course
+SECONDS, FRAMES, STEPS = 36.0, 20_000, 2_500  # a training game: by the clock, and in its course
 
 
 @functools.cache
@@ -125,15 +125,27 @@ def facts(text):
     return [one if one[-1] in "`N" else float(one.replace(",", "")) for one in found]
 
 
-def lines_of(axes, **style):
-    """{colour: [(xs, ys), ...]} of an axes' lines that have points; `style` chooses among them."""
+def lines_of(axes, style=None):
+    """The lines of an axes that have points, in the order of drawing: (xs, ys) each; `style`
+    chooses among "-", "--" and ":"."""
+    return [
+        (list(line.get_xdata()), list(line.get_ydata()))
+        for line in axes.get_lines()
+        if len(line.get_xdata()) and style in (None, line.get_linestyle())
+    ]
+
+
+def named_lines(axes):
+    """{name in the legend: [(xs, ys), ...]} of an axes' lines, by their colours."""
+    legend = axes.get_legend()
+    names = [text.get_text() for text in legend.get_texts()]
     found = {}
-    for line in axes.get_lines():
-        if len(line.get_xdata()) and all(
-            getattr(line, f"get_{key}")() == value for key, value in style.items()
-        ):
-            points = (list(line.get_xdata()), list(line.get_ydata()))
-            found.setdefault(tuple(line.get_color()), []).append(points)
+    for name, handle in zip(names, legend.legend_handles, strict=True):
+        found[name] = [
+            (list(line.get_xdata()), list(line.get_ydata()))
+            for line in axes.get_lines()
+            if len(line.get_xdata()) and line.get_color() == handle.get_color()
+        ]
     return found
 
 
@@ -143,11 +155,13 @@ class Shown:
 
     def __init__(self):
         self.texts, self.tables, self.figures, self.captions = [], {}, {}, {}
+        self.hovers = {}
 
     def display(self, thing, metadata=None, raw=False):
         if isinstance(thing, Figure):
             (meta,) = metadata.values()
             self.figures[meta["label"]], self.captions[meta["label"]] = thing, meta["caption"]
+            self.hovers[meta["label"]] = meta["hover"]
             return
         text = getattr(thing, "data", None) or str(thing)
         self.texts.append(text)
