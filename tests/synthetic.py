@@ -121,7 +121,7 @@ def numbers(text):
 def facts(text):
     """The agents, experiments and numbers in a text, in their order, whatever words are between."""
     names = "|".join(sorted(TITLES.values(), key=len, reverse=True))
-    found = re.findall(rf"{names}|`\w+`|{NUMBER}", text)
+    found = re.findall(rf"{names}|`\w+`|{NUMBER}", text.replace("−", "-"))
     return [one if one[-1] in "`N" else float(one.replace(",", "")) for one in found]
 
 

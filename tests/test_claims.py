@@ -27,6 +27,7 @@ from synthetic import (
 )
 
 from atari_dqn import claims, summaries, verdicts
+from atari_dqn.sections import Section
 
 LOUD = 5000.0  # points, of a game that must not count
 DQN, DOUBLE, DUELING = AGENTS
@@ -497,6 +498,64 @@ def test_the_doubt_about_where_training_began_widens_the_interval_of_a_gain(tmp_
     half = 1.96 * (2 * 384 / 50) ** 0.5
     for part in judged(tmp_path, case)[1].split("; "):
         assert numbers(part)[-2:] == pytest.approx([20 - half, 20 + half], abs=0.06)
+
+
+@pytest.fixture
+def three_seeds(tmp_path):
+    """Stores Dueling Double DQN from three seeds, whose scores and greedy games have the means of
+    one experiment each, and returns the study."""
+
+    def of(**means):
+        stored = study(tmp_path)
+        for experiment, of_seeds in means.items():
+            for seed, mean in enumerate(of_seeds, start=1):
+                scores = window(2501, 3000, mean, -LOUD)[: settings(experiment).episodes]
+                run = store(tmp_path, experiment, DUELING, scores, seed=seed)
+                boxes(run, dict.fromkeys(EVERYWHERE, mean), conceded=mean)
+            stored.sections[experiment] = Section(
+                experiment, "full", str(tmp_path), [DUELING], [1, 2, 3]
+            )
+        return stored
+
+    return of
+
+
+def test_of_three_seeds_a_mean_has_students_interval_over_seeds(three_seeds):
+    stored = three_seeds(boxing_final=[10.0, 20.0, 30.0])
+    found = verdicts.human_level(stored, FINAL)
+    half = stats.t.ppf(0.975, 2) * 10 / 3**0.5
+    assert found.verdict == "inconclusive"
+    assert numbers(found.evidence) == pytest.approx([20, 20 - half, 20 + half, 12.1], abs=0.06)
+    boxer = verdicts.beaten_everywhere(stored)
+    assert boxer.verdict == "inconclusive"
+    expected = [0, 20, 20 - half, 20 + half, 50]  # difficulty, mean, interval, % by knock-out
+    assert numbers(boxer.evidence)[:5] == pytest.approx(expected, abs=0.06)
+    assert verdicts.human_level(three_seeds(boxing_final=[19.0, 20.0, 21.0]), FINAL).verdict == (
+        "supported"
+    )
+
+
+def test_of_three_seeds_greedy_games_are_compared_as_seeds(three_seeds):
+    one, other = [60.0, 80.0, 100.0], [20.0, 24.0, 28.0]  # points in two minutes
+    stored = three_seeds(boxing_low_gamma=one, boxing_final=other)
+    (found,) = verdicts.greedy(stored, "boxing_low_gamma", FINAL, "conceded_a_minute")
+    welch = stats.ttest_ind(np.divide(one, 2), np.divide(other, 2), equal_var=False)
+    low, high = welch.confidence_interval()
+    assert numbers(found.evidence) == pytest.approx([40, 12, low, high], abs=0.06)
+
+
+def test_a_boxers_games_that_repeat_others_narrow_no_interval(tmp_path):
+    run = store(tmp_path, FINAL, DUELING, np.zeros(10))
+    widths = []
+    for times in (1, 4):
+        (run.folder / "evaluations.csv").unlink(missing_ok=True)
+        for number, difficulty in enumerate(list(EVERYWHERE) * times):
+            evaluate(run, games=5, add=number > 0, score=50.0, difficulty=difficulty)
+        low, high = INTERVAL.search(verdicts.beaten_everywhere(study(tmp_path)).evidence).groups()[
+            1:
+        ]
+        widths.append(float(high) - float(low))
+    assert widths[1] == pytest.approx(widths[0], rel=0.15)
 
 
 def scores(mean, games=3000, seed=0):

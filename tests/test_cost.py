@@ -128,6 +128,15 @@ def test_our_speed_is_told_with_how_many_times_the_fastest_peers_it_is(folder, s
     assert numbers(shown.captions["fig-throughput"])[:3] == [2, 32, 4], "cores, batch, period"
 
 
+def test_a_gain_beyond_the_number_of_cores_is_owned_to_be_noise(folder, shown):
+    table = measured()
+    table.loc[1, ["steps_per_second", "low", "high"]] = (210.0, 190.0, 220.0)
+    table.to_csv(folder / "throughput.csv", index=False)
+    cost.show_throughput()
+    said = numbers(shown.texts[1])
+    assert said == [2, 2.1, 2, 1.2, 2, 95, 105, 2, 190, 220], "then the range of one, and of two"
+
+
 def test_an_aim_that_is_not_reached_is_said_to_be_missed(folder, shown):
     table = measured()
     table.loc[table.library == "atari-dqn", "ratio_to_best_peer"] = 2.59
