@@ -15,6 +15,7 @@ import pytest
 from scipy import stats
 from synthetic import (
     AGENTS,
+    SPREAD,
     check,
     evaluate,
     facts,
@@ -418,6 +419,33 @@ def test_a_claim_is_false_if_any_part_of_it_is(tmp_path, case, changes):
     word, evidence = judged(tmp_path, case)
     assert word == WORDS[case.table][1], evidence
     check_intervals(evidence)
+
+
+PARTIAL = [
+    name
+    for name, case in CASES.items()
+    for experiment in {place.split("/")[0] for place in case.true}
+    if sum(place.startswith(experiment) for place in case.true) < len(settings(experiment).agents)
+]
+
+
+@pytest.mark.parametrize("name", dict.fromkeys(PARTIAL))
+def test_what_agents_do_of_whom_a_claim_says_nothing_changes_nothing(tmp_path, name):
+    case = CASES[name]
+    for place, stored in case.true.items():
+        stored.put(tmp_path, place)
+    expected = judged(tmp_path, case)
+    others = {
+        f"{experiment}/{agent}"
+        for experiment in {place.split("/")[0] for place in case.true}
+        for agent in settings(experiment).agents
+    }
+    lengths = {place.split("/")[0]: len(stored.scores) for place, stored in case.true.items()}
+    for place in sorted(others - set(case.true)):
+        length = lengths[place.split("/")[0]]
+        loud = checked(length, score=np.full(length // 100, LOUD))
+        replace(loud, greedy=dict.fromkeys(SPREAD, LOUD)).put(tmp_path, place)
+    assert judged(tmp_path, case) == expected
 
 
 def test_every_claim_has_a_case_with_the_experiments_that_it_is_about():

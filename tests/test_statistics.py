@@ -31,6 +31,13 @@ def test_the_interval_covers_the_true_mean_about_as_often_as_it_says():
     assert 180 <= hits <= 200
 
 
+def test_the_interval_of_many_values_is_two_standard_errors_each_way():
+    values = np.random.default_rng(0).normal(3, 2, size=400)
+    half = 1.96 * values.std() / 20
+    low, high = interval(values)
+    assert (low, high) == pytest.approx((values.mean() - half, values.mean() + half), abs=half / 20)
+
+
 def test_one_value_has_no_interval():
     with pytest.raises(ValueError, match="at least two"):
         interval(np.array([1.0]))

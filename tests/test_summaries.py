@@ -62,7 +62,7 @@ def test_the_claims_that_are_judged_are_counted_by_verdict(tmp_path):
     assert len(true.split("; ")) == 3
     assert "Double DQN ends highest in Boxing" in true
     assert false == "Dueling Double DQN is the best of the first 500 games in both games."
-    assert "nconclusive" not in said
+    assert re.findall(r"\*(\w+)\*:", said) == ["Supported", "Contradicted"], "and none that is open"
 
 
 def test_cards_hold_the_best_score_the_human_one_the_games_stored_and_the_claims_judged(tmp_path):
@@ -105,6 +105,13 @@ def test_before_an_agent_is_past_its_early_games_the_share_of_all_games_is_told(
     assert share == pytest.approx(100 * 800 / planned, abs=0.051)
 
 
+def test_an_agent_is_past_its_early_games_after_five_hundred(tmp_path):
+    store(tmp_path, "boxing_final", DQN, np.full(499, 50.0))
+    store(tmp_path, "boxing_final", DOUBLE, np.full(500, 7.0))
+    text = summaries.headline(study(tmp_path))
+    assert facts(text.split("Of 16")[0]) == [500, "Double DQN", 7.0, 12.1, 0.1]
+
+
 def lines(text):
     return [line for line in text.splitlines() if line.startswith("- ")]
 
@@ -112,7 +119,7 @@ def lines(text):
 def test_a_readings_line_has_the_last_mean_the_random_share_and_the_largest_drop(tmp_path):
     # means of 100 games rise to 10, fall by 8, and rise to 14, the last one
     scores = np.repeat([0.0, 10.0, 2.0, 14.0], 100)
-    store(tmp_path, "boxing_final", DOUBLE, scores, epsilon=0.07)
+    store(tmp_path, "boxing_final", DOUBLE, scores, epsilon=np.linspace(1, 0.07, 400))
     line = lines(summaries.reading(study(tmp_path), "boxing_final"))[0]
     # the mean of games 301 + n first passes 12.1 where 2 + 12 * n / 100 does: with 85 games of 14
     assert facts(line) == ["Double DQN", 14.0, 100, 400, 7, 100, 12.1, 385, 8.0]
