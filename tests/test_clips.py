@@ -16,7 +16,7 @@ DQN, DOUBLE, DUELING = AGENTS
 def filmed(monkeypatch):
     """Stands in for models and cameras: what is filmed, and under which caption. A run has models
     of 100 games, and of all its games."""
-    seen = SimpleNamespace(captions={}, data={}, played=None, contestants=None)
+    seen = SimpleNamespace(captions={}, data={}, played=None, contestants=None, seconds=None)
     monkeypatch.setattr(Run, "models", lambda run: {100: "", run.status()["episodes_done"]: ""})
     monkeypatch.setattr(clips, "_network", lambda run, games: (run.agent, games))
 
@@ -25,6 +25,7 @@ def filmed(monkeypatch):
         return SimpleNamespace(games=[SimpleNamespace(score=-7.0)])
 
     def side_by_side(contestants, seed, game, seconds):
+        seen.seconds = seconds
         seen.contestants = {title: network for title, (network, _) in contestants.items()}
         scores = range(10, 10 + len(contestants))
         return SimpleNamespace(games=[SimpleNamespace(score=float(score)) for score in scores])
@@ -57,6 +58,7 @@ def test_early_and_late_are_the_same_runs_first_model_and_its_last(tmp_path, fil
     clips.show_early_and_late(study(tmp_path)["boxing_final"], "vid-early-late")
     assert list(filmed.contestants.values()) == [(DOUBLE, 100), (DOUBLE, 300)]
     assert [numbers(title) for title in filmed.contestants] == [[100], [300]]
+    assert filmed.seconds == (None, 30)
     assert facts(filmed.captions["vid-early-late"]) == ["Double DQN", 100, 300, 30, 10, 11]
 
 
@@ -69,6 +71,7 @@ def test_side_by_side_each_agent_has_its_own_name_and_newest_model(tmp_path, fil
         "Double DQN, 300": (DOUBLE, 300),
         "Dueling Double DQN, 400": (DUELING, 400),
     }
+    assert filmed.seconds == (None, 30)
     assert numbers(filmed.captions["vid-side-by-side"]) == [30, 10, 11, 12]
 
 

@@ -92,3 +92,29 @@ def test_the_source_reports_scores_stand_beside_its_games_agents_and_marks():
     assert table.loc[("Boxing", "DQN"), "3000"] == 85.61
     assert table.loc[("Breakout", "Dueling Double DQN"), "2000"] == 19.65
     assert len(table) == 6
+
+
+def test_a_million_images_are_a_thousandth_of_a_gigabyte_for_every_byte_of_one(monkeypatch):
+    sizes = {"boxing": [400, 600], "breakout": [110, 130]}
+    monkeypatch.setattr(design, "_compressed_sizes", lambda name, images: sizes[name])
+    found = numbers(design.memory_text(images=300))
+    assert found == [300, 84 * 84, 500, 120, 0.50, 0.12]
+
+
+def test_settings_are_each_experiments_own():
+    loaded = {path.stem: params.load(path) for path in experiments.files("full")}
+    table = design.settings([loaded["boxing_final"], loaded["breakout_final"]])
+    table = table.set_index("parameter")
+    for key, boxing, breakout in (
+        ("`game`", "boxing", "breakout"),
+        ("`batch_size`", "32", "64"),
+        ("`life_loss_penalty`", "0", "1"),
+        ("`learning_rate`", "0.0001", "0.0001"),
+        ("`replay_capacity`", "1,000,000", "1,000,000"),
+    ):
+        assert table.loc[key, ["`boxing_final`", "`breakout_final`"]].tolist() == [boxing, breakout]
+    rows = design.differences(list(loaded.values())).set_index("experiment")
+    assert rows.games["`boxing_final`"] == "3,000"
+    assert rows.games["`breakout_early`"] == "7,000"
+    assert rows.agents["`boxing_final`"] == "all three"
+    assert rows.agents["`boxing_high_gamma`"] == "Dueling Double DQN"

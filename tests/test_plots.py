@@ -151,6 +151,16 @@ def test_discounts_are_each_the_curve_of_their_own_experiment(tmp_path, shown):
     assert [ys[0] for _, ys in lines_of(axes, ":")] == [12.1, 0.1]
 
 
+def test_a_discount_that_is_not_trained_yet_has_no_curve(tmp_path, shown):
+    for experiment in ("boxing_final", "boxing_high_gamma"):
+        store(tmp_path, experiment, DUELING, 0.1 * GAMES)
+    stored = study(tmp_path)
+    sections = [stored[name] for name in ("boxing_low_gamma", "boxing_final", "boxing_high_gamma")]
+    results.show_discounts(sections, DUELING, "fig-discounts")
+    (axes,) = shown.figures["fig-discounts"].axes
+    assert list(named_lines(axes)) == ["discount 0.99", "discount 0.995"]
+
+
 def test_predicted_realised_and_held_out_values_are_told_apart_by_their_lines(tmp_path, shown):
     for place, agent in enumerate(AGENTS):
         run = store(tmp_path, "boxing_final", agent, np.zeros(300))

@@ -117,11 +117,11 @@ def lines(text):
 
 
 def test_a_readings_line_has_the_last_mean_the_random_share_and_the_largest_drop(tmp_path):
-    # means of 100 games rise to 10, fall by 8, and rise to 14, the last one
-    scores = np.repeat([0.0, 10.0, 2.0, 14.0], 100)
+    # means of 100 games rise to 10, fall by 8, and rise to 14; single scores fall by 14
+    scores = np.repeat([0.0, 10.0, 2.0, 14.0], 100) + np.tile([3.0, -3.0], 200)
     store(tmp_path, "boxing_final", DOUBLE, scores, epsilon=np.linspace(1, 0.07, 400))
     line = lines(summaries.reading(study(tmp_path), "boxing_final"))[0]
-    # the mean of games 301 + n first passes 12.1 where 2 + 12 * n / 100 does: with 85 games of 14
+    # of 100 games, the mean first passes 12.1 with 85 games about 14 and 15 about 2
     assert facts(line) == ["Double DQN", 14.0, 100, 400, 7, 100, 12.1, 385, 8.0]
 
 
