@@ -34,3 +34,15 @@ def _isolated(tmp_path, monkeypatch):
 def small():
     """Makes parameters of a run that takes a second or two; keywords change them."""
     return lambda **changes: Parameters.model_validate({**SMALL, **changes})
+
+
+@pytest.fixture
+def shown(monkeypatch):
+    """A `synthetic.Shown` of whatever is displayed in the course of the test."""
+    from synthetic import Shown  # here: most tests need no drawing
+
+    from atari_dqn.report import outputs
+
+    found = Shown()
+    monkeypatch.setattr(outputs, "display", found.display)
+    return found

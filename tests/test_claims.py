@@ -1,65 +1,610 @@
-"""Verdicts on the source report's claims follow from the stored runs, and change with them."""
+"""Verdicts on the source report's claims follow from the stored runs, and change with them.
 
-import json
-from pathlib import Path
+`CASES` has every claim: runs with which it is plainly true, what else to store to make it plainly
+false, and the numbers that the evidence must then give. Scores outside the games that a claim is
+about say the opposite, and so loudly that one of them among those would change every number. Greedy
+games say the opposite in all columns but the one that counts.
+"""
+
+import re
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
 import pytest
 from scipy import stats
+from synthetic import (
+    AGENTS,
+    SPREAD,
+    check,
+    evaluate,
+    facts,
+    numbers,
+    settings,
+    store,
+    study,
+    window,
+    windows,
+)
 
-from atari_dqn import params
 from atari_dqn.analysis import claims, summaries, verdicts
-from atari_dqn.analysis.study import Study
-from atari_dqn.params import TRAINING_VERSION
-from atari_dqn.runs.run import Run
+from atari_dqn.analysis.study import Section
 
-ROOT = Path(__file__).parents[1]
+LOUD = 5000.0  # points, of a game that must not count
+DQN, DOUBLE, DUELING = AGENTS
 
 
-def store(results, experiment, agent, scores):
-    """A run's folder with the given scores, as training would leave it."""
-    run = Run(params.pick(params.load(ROOT / "params" / f"{experiment}.yaml"), agent, 1), results)
-    run.folder.mkdir(parents=True, exist_ok=True)
-    games = np.arange(1, len(scores) + 1)
-    table = pd.DataFrame({"episode": games, "frames": games * 7000, "score": scores})
-    table["epsilon"] = 0.22
-    table.to_csv(run.folder / "episodes.csv", index=False)
-    table.assign(seconds=games * 5.0)[["episode", "seconds"]].to_csv(
-        run.folder / "timing.csv", index=False
-    )
-    params.dump(run.params, run.folder / "params.yaml")
-    state = "complete" if len(scores) >= run.params.episodes else "interrupted"
-    status = {"state": state, "episodes_done": len(scores), "episodes": run.params.episodes}
-    (run.folder / "status.json").write_text(json.dumps(status))
-    provenance = {
-        "training_version": TRAINING_VERSION,
-        "identity": run.params.identity(),
-        "sessions": [{}],
+@dataclass(frozen=True)
+class Runs:
+    """What is stored of a run. Without game `needed` the claim is open."""
+
+    scores: np.ndarray
+    needed: int = 0
+    greedy: dict[str, float] | None = None  # means of columns of the final evaluation
+    checks: dict[str, np.ndarray] | None = None  # columns, a value every hundred games
+
+    def put(self, results, place):
+        experiment, agent, *variation = place.split("/", 2)
+        scores = self.scores[: settings(experiment).episodes]
+        run = store(results, experiment, agent, scores, variation="".join(variation))
+        if self.greedy is not None:
+            evaluate(run, **self.greedy)
+        if self.checks is not None:
+            check(run, **self.checks)
+
+    def short(self):
+        """The same, not quite long enough."""
+        if self.greedy is not None:
+            return replace(self, greedy={**self.greedy, "trained": self.needed - 1})
+        return replace(self, scores=self.scores[: self.needed - 1])
+
+
+def games(first, last, mean, outside):
+    return Runs(window(first, last, mean, outside), last)
+
+
+def early(mean, outside=-LOUD):  # games 1 to 500
+    return games(1, 500, mean, outside)
+
+
+def final(mean, outside=-LOUD):  # the last 500 of 3,000
+    return games(2501, 3000, mean, outside)
+
+
+def greedy(experiment, **means):
+    return Runs(np.zeros(10), settings(experiment).episodes, greedy=means)
+
+
+def swaying(by, luck=7.0, games=1400):
+    """Blocks of 50 games, `by` above and below 0 in turn, each game `luck` off that; loud after."""
+    scores = by * (-1.0) ** (np.arange(games) // 50) + luck * (-1.0) ** np.arange(games)
+    return Runs(np.concatenate([scores, LOUD * (-1.0) ** np.arange(20)]), games)
+
+
+def gaining(first, then, last=500):
+    """A mean of the first 50 games, and one of the others up to 500."""
+    scores = windows({(1, 50): first, (51, 500): then}, -LOUD)
+    return Runs(scores, last)
+
+
+def checked(games, **columns):
+    return Runs(np.zeros(games), games, checks={"score": np.zeros(games // 100)} | columns)
+
+
+def of_all(experiment, runs):
+    return {f"{experiment}/{agent}": run for agent, run in zip(AGENTS, runs, strict=True)}
+
+
+@dataclass(frozen=True)
+class Case:
+    claim: str  # word for word
+    true: dict[str, Runs]  # by experiment/agent, or experiment/agent/variation
+    false: tuple[dict[str, Runs], ...]  # any of these in its place makes it false
+    evidence: str  # agents, experiments and numbers of the true one, without intervals
+    table: str = "findings"
+
+
+FINAL, LATE, EARLY = "boxing_final", "breakout_late", "breakout_early"
+CASES = {
+    "1 human in Boxing": Case(
+        "All three agents exceed the human score in Boxing after 1,000 games",
+        of_all(FINAL, [games(501, 1000, mean, -LOUD) for mean in (14, 15, 16)]),
+        tuple({f"{FINAL}/{agent}": games(501, 1000, 10, LOUD)} for agent in AGENTS),
+        "DQN 14 12.1, Double DQN 15 12.1, Dueling Double DQN 16 12.1",
+    ),
+    "2 above DQN in Boxing": Case(
+        "Double and Dueling Double DQN end above DQN in Boxing",
+        of_all(FINAL, [final(80, LOUD), final(90), final(85)]),
+        ({f"{FINAL}/{DOUBLE}": final(70)}, {f"{FINAL}/{DUELING}": final(75)}),
+        "Double DQN 90 DQN 80, Dueling Double DQN 85 DQN 80",
+    ),
+    "3 dueling early": Case(
+        "Dueling Double DQN is the best of the first 500 games in both games",
+        of_all(FINAL, [early(10, LOUD), early(20, LOUD), early(30)])
+        | of_all("breakout_final", [early(3, LOUD), early(5, LOUD), early(8)]),
+        (
+            {f"{FINAL}/{DUELING}": early(15)},
+            {f"breakout_final/{DUELING}": early(4)},
+            {f"breakout_final/{DQN}": early(9)},
+        ),
+        "Dueling Double DQN 30 DQN 10, Dueling Double DQN 30 Double DQN 20, "
+        "Dueling Double DQN 8 DQN 3, Dueling Double DQN 8 Double DQN 5",
+    ),
+    "4 double highest": Case(
+        "Double DQN ends highest in Boxing",
+        of_all(FINAL, [final(80, LOUD), final(92), final(90, LOUD)]),
+        ({f"{FINAL}/{DQN}": final(94, LOUD)}, {f"{FINAL}/{DUELING}": final(95, LOUD)}),
+        "Double DQN 92 DQN 80, Double DQN 92 Dueling Double DQN 90",
+    ),
+    "5 double lowest": Case(
+        "Double DQN ends lowest in Breakout",
+        of_all("breakout_final", [final(30), final(10, LOUD), final(20)]),
+        ({f"breakout_final/{DQN}": final(5)}, {f"breakout_final/{DUELING}": final(5)}),
+        "DQN 30 Double DQN 10, Dueling Double DQN 20 Double DQN 10",
+    ),
+    "6 only DQN human": Case(
+        "Of the three, only DQN reaches the human score in Breakout",
+        of_all("breakout_final", [final(40), final(15, LOUD), final(20, LOUD)]),
+        (
+            {f"breakout_final/{DQN}": final(25)},
+            {f"breakout_final/{DOUBLE}": final(35)},
+            {f"breakout_final/{DUELING}": final(35)},
+        ),
+        "DQN 40 30.5, Double DQN 15 30.5, Dueling Double DQN 20 30.5",
+    ),
+    "7 preprocessing": Case(
+        "Preprocessing, and the settings that came with it, improve DQN in Breakout",
+        {f"{LATE}/{DQN}": greedy(LATE, score=30, scored=1), f"{EARLY}/{DQN}": greedy(EARLY)},
+        ({f"{LATE}/{DQN}": greedy(LATE, score=10, scored=99)},),
+        f"DQN `{LATE}` 30 `{EARLY}` 20",
+    ),
+    "8 DQN best of late": Case(
+        "DQN is the best of the later Breakout experiment",
+        of_all(LATE, [final(30), final(20, LOUD), final(25, LOUD)]),
+        ({f"{LATE}/{DOUBLE}": final(35, LOUD)}, {f"{LATE}/{DUELING}": final(35, LOUD)}),
+        "DQN 30 Double DQN 20, DQN 30 Dueling Double DQN 25",
+    ),
+    "9 price on lives": Case(
+        "Breakout improves with a price on lost lives (and with larger batches, and with less "
+        "exploration in the end)",
+        of_all("breakout_final", [greedy("breakout_final", score=x) for x in (31, 32, 33)])
+        | of_all(LATE, [greedy(LATE, score=x, distance=90) for x in (21, 22, 23)]),
+        tuple({f"breakout_final/{agent}": greedy("breakout_final", score=9)} for agent in AGENTS),
+        f"DQN `breakout_final` 31 `{LATE}` 21, Double DQN `breakout_final` 32 `{LATE}` 22, "
+        f"Dueling Double DQN `breakout_final` 33 `{LATE}` 23",
+    ),
+    "10 early learn less": Case(
+        "The early Boxing settings (rate 1e-3, batch 64, floor 0.1) learn less than the final ones",
+        {
+            f"{FINAL}/{DQN}": replace(
+                checked(1500, score=np.r_[np.full(13, 30.0), 44.0, -LOUD]), needed=1400
+            ),
+            "boxing_early/dqn": checked(1400, score=np.full(14, 10.0)),
+        },
+        ({"boxing_early/dqn": checked(1400, score=np.full(14, 50.0))},),
+        f"DQN `{FINAL}` 31 `boxing_early` 10",
+    ),
+    "11 early oscillates": Case(
+        "With them, the learning curve oscillates more",
+        {f"{FINAL}/{DQN}": swaying(1.0), "boxing_early/dqn": swaying(5.0)},
+        ({f"{FINAL}/{DQN}": swaying(5.0), "boxing_early/dqn": swaying(1.0)},),
+        # a block is twice `by` from its neighbours; luck explains 1.5 * 7 ** 2 / 49 of the squares
+        f"`{FINAL}` {2.5**0.5:.1f} `boxing_early` {98.5**0.5:.1f}",
+    ),
+    "12 reckless": Case(
+        "A discount of 0.9 makes agents reckless: they concede more points than with 0.99",
+        {  # points in one minute, and in two
+            f"boxing_low_gamma/{DUELING}": greedy("boxing_low_gamma", conceded=30, frames=3600),
+            f"{FINAL}/{DUELING}": greedy(FINAL, conceded=40, scored=99, score=30, distance=50),
+        },
+        (
+            {
+                f"boxing_low_gamma/{DUELING}": greedy(
+                    "boxing_low_gamma", conceded=10, frames=3600, scored=99, score=60, distance=90
+                )
+            },
+        ),
+        f"Dueling Double DQN `boxing_low_gamma` 30 `{FINAL}` 20",
+    ),
+    "13 low discount worse": Case(
+        "A discount of 0.9 plays worse than 0.99",
+        {
+            f"{FINAL}/{DUELING}": games(835, 1000, 60, -LOUD),
+            f"boxing_low_gamma/{DUELING}": games(835, 1000, 40, LOUD),
+        },
+        ({f"boxing_low_gamma/{DUELING}": games(835, 1000, 70, -LOUD)},),
+        f"Dueling Double DQN `{FINAL}` 60 `boxing_low_gamma` 40",
+    ),
+    "14 shy": Case(
+        "A discount of 0.995 makes agents shy: they keep a greater distance than with 0.99",
+        {
+            f"boxing_high_gamma/{DUELING}": greedy("boxing_high_gamma", distance=50),
+            f"{FINAL}/{DUELING}": greedy(FINAL, distance=30, score=60, scored=99, conceded=99),
+        },
+        ({f"boxing_high_gamma/{DUELING}": greedy("boxing_high_gamma", distance=25)},),
+        f"Dueling Double DQN `boxing_high_gamma` 50 `{FINAL}` 30",
+    ),
+    "15 faster in expert mode": Case(
+        "All agents learn faster in expert mode: they gain more in the first 500 games",
+        of_all("boxing_expert", [gaining(first, first + 30) for first in (1, 2, 3)])
+        | of_all(FINAL, [gaining(first, first + 10) for first in (51, 52, 53)]),
+        tuple({f"boxing_expert/{agent}": gaining(80, 81)} for agent in AGENTS),
+        f"DQN `boxing_expert` 30 `{FINAL}` 10, Double DQN `boxing_expert` 30 `{FINAL}` 10, "
+        f"Dueling Double DQN `boxing_expert` 30 `{FINAL}` 10",
+    ),
+    "16 transfer": Case(
+        "Starting from a Breakout agent is worth less than 5 points in Boxing, early "
+        "(first 500 games) and at the end",
+        of_all(
+            "boxing_transfer",
+            [Runs(windows({(1, 500): x + 4, (835, 1000): x + 44}, LOUD), 1000) for x in (1, 2, 3)],
+        )
+        | of_all(
+            FINAL,
+            [Runs(windows({(1, 500): x, (835, 1000): x + 40}, -LOUD), 1000) for x in (1, 2, 3)],
+        ),
+        (
+            *(
+                {f"boxing_transfer/{agent}": Runs(windows({(1, 500): 9, (835, 1000): 40}, -LOUD))}
+                for agent in AGENTS
+            ),
+            *(
+                {f"boxing_transfer/{agent}": Runs(windows({(1, 500): 0, (835, 1000): 50}, -LOUD))}
+                for agent in AGENTS
+            ),
+        ),
+        ", ".join(
+            f"{name} `boxing_transfer` {x + 4} `{FINAL}` {x}"
+            for more in (0, 40)
+            for x, name in zip(
+                (more + 1, more + 2, more + 3),
+                ("DQN", "Double DQN", "Dueling Double DQN"),
+                strict=True,
+            )
+        ),
+    ),
+    "double overestimates less": Case(
+        "Double DQN leads in Boxing because it overestimates less",
+        {
+            f"{FINAL}/{agent}": replace(
+                final(mean, outside),
+                checks={  # up to game 1,500, the first half, nothing counts
+                    "score": np.zeros(30),
+                    "realised": np.full(30, 2.0),
+                    "predicted": np.r_[np.full(15, -gap * LOUD), np.full(15, 2.0 + gap)],
+                },
+            )
+            for agent, mean, outside, gap in (
+                (DQN, 80, LOUD, 2.0),
+                (DOUBLE, 90, -LOUD, 0.5),
+                (DUELING, 85, LOUD, 9.0),
+            )
+        },
+        (
+            {
+                f"{FINAL}/{DOUBLE}": replace(
+                    final(90),
+                    checks={
+                        "score": np.zeros(30),
+                        "realised": np.full(30, 2.0),
+                        "predicted": np.r_[np.full(15, -LOUD), np.full(15, 5.0)],
+                    },
+                )
+            },
+            {f"{FINAL}/{DUELING}": final(95, LOUD)},
+        ),
+        "Double DQN 90 DQN 80, Double DQN 90 Dueling Double DQN 85, DQN 2 Double DQN 0.5",
+        "interpretations",
+    ),
+    "dueling learns faster": Case(
+        "Dueling Double DQN learns faster because of its two streams",
+        {f"{FINAL}/{DOUBLE}": early(20, LOUD), f"{FINAL}/{DUELING}": early(30)},
+        ({f"{FINAL}/{DUELING}": early(15)},),
+        "Dueling Double DQN 30 Double DQN 20 (Double DQN is the same agent without the streams)",
+        "interpretations",
+    ),
+    "goal human in Boxing": Case(
+        "Human level in Boxing with each agent",
+        of_all(FINAL, [final(mean) for mean in (14, 15, 16)]),
+        tuple({f"{FINAL}/{agent}": final(10, LOUD)} for agent in AGENTS),
+        "DQN 14 12.1, Double DQN 15 12.1, Dueling Double DQN 16 12.1",
+        "goals",
+    ),
+    "goal human in Breakout": Case(
+        "Human level in Breakout with each agent",
+        of_all("breakout_final", [final(mean) for mean in (34, 35, 36)]),
+        tuple({f"breakout_final/{agent}": final(29, LOUD)} for agent in AGENTS),
+        "DQN 34 30.5, Double DQN 35 30.5, Dueling Double DQN 36 30.5",
+        "goals",
+    ),
+    "goal comparable data": Case(
+        "Comparable data for three agents and two games",
+        of_all(FINAL, [final(0)] * 3) | of_all("breakout_final", [final(0)] * 3),
+        (),
+        f"100 `{FINAL}` 100 `breakout_final` 100",
+        "goals",
+    ),
+    "goal hyper-parameters": Case(
+        "How hyper-parameters change performance",
+        {
+            **{
+                f"boxing_sensitivity/{DUELING}/{label}": Runs(np.zeros(500), 500)
+                for label in settings("boxing_sensitivity").variations
+            },
+            f"boxing_low_gamma/{DUELING}": Runs(np.zeros(1000), 1000),
+            f"boxing_high_gamma/{DUELING}": Runs(np.zeros(2000), 2000),
+        },
+        (),
+        "100 `boxing_sensitivity` 100 `boxing_low_gamma` 100 `boxing_high_gamma` 100",
+        "goals",
+    ),
+    "goal transfer": Case(
+        "How well transfer from Breakout to Boxing works",
+        {
+            **of_all("boxing_transfer", [Runs(np.zeros(1000), 1000)] * 3),
+            **{
+                f"boxing_transfer_controls/{DUELING}/{label}": Runs(np.zeros(1000), 1000)
+                for label in settings("boxing_transfer_controls").variations
+            },
+        },
+        (),
+        "100 `boxing_transfer` 100 `boxing_transfer_controls` 100",
+        "goals",
+    ),
+}
+WORDS = {  # of the tables, for true, false and not known yet
+    "findings": ("supported", "contradicted", "open"),
+    "interpretations": ("premise holds", "premise fails", "open"),
+    "goals": ("reached", "not reached", "open"),
+}
+COLUMNS = {
+    "findings": ("claim", "verdict"),
+    "interpretations": ("interpretation", "verdict"),
+    "goals": ("goal", "here"),
+}
+
+
+def judged(results, case):
+    """The verdict and the evidence in the row that the report's table has of a claim."""
+    stored, (claim, word) = study(results), COLUMNS[case.table]
+    if case.table == "findings":
+        table = claims.table([one for one in claims.FINDINGS if one.text == case.claim], stored)
+    else:
+        table = getattr(claims, case.table)(stored)
+    (row,) = table[table[claim] == case.claim].to_dict("records")
+    return row[word], row["evidence"]
+
+
+INTERVAL = re.compile(
+    r"[, ]*\(?(difference of their squares|difference|DQN's is larger by|) ?"
+    r"(-?[\d.]+) to (-?[\d.]+)\)?"
+)
+
+
+def check_intervals(evidence):
+    """Each lies about what it is said to be the interval of: a mean, or a difference."""
+    for found in INTERVAL.finditer(evidence):
+        *_, one, other = (0.0, *numbers(evidence[: found.start()]))
+        what, low, high = found[1], float(found[2]), float(found[3])
+        middle, rounding = (one - other, 0.11) if what else (other, 0.06)
+        if "squares" in what:
+            middle, rounding = other**2 - one**2, 0.06 * (one + other) + 0.06
+        assert low <= high
+        assert (low + high) / 2 == pytest.approx(middle, abs=rounding), found[0]
+
+
+@pytest.mark.parametrize("case", CASES.values(), ids=CASES)
+def test_a_claim_is_true_with_its_numbers_and_open_while_any_run_lacks_a_game(tmp_path, case):
+    true, _, not_yet = WORDS[case.table]
+    for place, stored in case.true.items():
+        stored.put(tmp_path, place)
+    word, evidence = judged(tmp_path, case)
+    assert word == true, evidence
+    assert facts(INTERVAL.sub("", evidence)) == facts(case.evidence)
+    check_intervals(evidence)
+    for place, stored in case.true.items():
+        stored.short().put(tmp_path, place)
+        assert judged(tmp_path, case)[0] == not_yet, place
+        stored.put(tmp_path, place)
+
+
+@pytest.mark.parametrize(
+    ("case", "changes"),
+    [(case, changes) for case in CASES.values() for changes in case.false],
+    ids=[f"{name}: {', '.join(places)}" for name, case in CASES.items() for places in case.false],
+)
+def test_a_claim_is_false_if_any_part_of_it_is(tmp_path, case, changes):
+    for place, stored in (case.true | changes).items():
+        stored.put(tmp_path, place)
+    word, evidence = judged(tmp_path, case)
+    assert word == WORDS[case.table][1], evidence
+    check_intervals(evidence)
+
+
+PARTIAL = [
+    name
+    for name, case in CASES.items()
+    for experiment in {place.split("/")[0] for place in case.true}
+    if sum(place.startswith(experiment) for place in case.true) < len(settings(experiment).agents)
+]
+
+
+@pytest.mark.parametrize("name", dict.fromkeys(PARTIAL))
+def test_what_agents_do_of_whom_a_claim_says_nothing_changes_nothing(tmp_path, name):
+    case = CASES[name]
+    for place, stored in case.true.items():
+        stored.put(tmp_path, place)
+    expected = judged(tmp_path, case)
+    others = {
+        f"{experiment}/{agent}"
+        for experiment in {place.split("/")[0] for place in case.true}
+        for agent in settings(experiment).agents
     }
-    (run.folder / "provenance.json").write_text(json.dumps(provenance))
-    return run
+    lengths = {place.split("/")[0]: len(stored.scores) for place, stored in case.true.items()}
+    for place in sorted(others - set(case.true)):
+        length = lengths[place.split("/")[0]]
+        loud = checked(length, score=np.full(length // 100, LOUD))
+        replace(loud, greedy=dict.fromkeys(SPREAD, LOUD)).put(tmp_path, place)
+    assert judged(tmp_path, case) == expected
+
+
+def test_every_claim_has_a_case_with_the_experiments_that_it_is_about():
+    untested = claims.INTERPRETATIONS[2:]  # which no run can judge
+    by_text = {case.claim: case for case in CASES.values()}
+    for claim in (*claims.FINDINGS, *claims.INTERPRETATIONS, *claims.GOALS[1:]):
+        if claim in untested:
+            assert claim.judge(None).verdict == "not tested"
+            continue
+        stored = {place.split("/")[0] for place in by_text[claim.text].true}
+        assert set(claim.experiments) <= stored, claim.text
+    numbered = [claim.text for claim in claims.FINDINGS]
+    assert [by_text[text].table for text in numbered] == ["findings"] * 16
+    for number, text in enumerate(numbered, start=1):
+        assert f"\n{number}. {text}." in "\n" + summaries.list_of_findings()
+
+
+GOAL_BOXER = claims.GOALS[0].text
+EVERYWHERE = {0: 90.0, 1: 4.0, 2: 95.0, 3: 60.0}  # mean score by difficulty
+
+
+def boxes(run, means, **columns):
+    """Evaluates a run at each difficulty with a mean score; wins half of it by knock-out, and is
+    knocked out in a quarter of the games."""
+    out = {"knockout": [1, 0, -1, 1] * 10}
+    (run.folder / "evaluations.csv").unlink(missing_ok=True)
+    for number, (difficulty, mean) in enumerate(means.items()):
+        evaluate(run, add=number > 0, score=mean, difficulty=difficulty, **out, **columns)
+
+
+def test_the_computers_boxer_is_beaten_if_the_most_refined_agent_wins_at_every_difficulty(tmp_path):
+    case = Case(GOAL_BOXER, {}, (), "", "goals")
+    assert judged(tmp_path, case)[0] == "open"
+    for agent in (DQN, DOUBLE):  # whatever others do
+        boxes(store(tmp_path, FINAL, agent, np.zeros(10)), dict.fromkeys(EVERYWHERE, 50.0))
+    word, evidence = judged(tmp_path, case)
+    assert (word, facts(evidence)) == ("open", ["Dueling Double DQN", 0, 4])
+    for agent in (DQN, DOUBLE):
+        boxes(store(tmp_path, FINAL, agent, np.zeros(10)), dict.fromkeys(EVERYWHERE, -50.0))
+    run = store(tmp_path, FINAL, DUELING, np.zeros(10))
+    boxes(run, EVERYWHERE)
+    # games played otherwise do not count: with sticky actions, at random, of an earlier model
+    for otherwise in ({"sticky_actions": 0.25}, {"epsilon": 1.0}, {"trained": 2000}):
+        for difficulty in EVERYWHERE:
+            evaluate(run, add=True, score=-80.0, difficulty=difficulty, **otherwise)
+    word, evidence = judged(tmp_path, case)
+    assert word == "reached"
+    means = INTERVAL.sub("", evidence)
+    assert numbers(means) == [0, 90, 50, 1, 4, 50, 2, 95, 50, 3, 60, 50], "difficulty, mean, % KO"
+    check_intervals(evidence)
+    for difficulty in EVERYWHERE:
+        boxes(run, {**EVERYWHERE, difficulty: -6.0})
+        assert judged(tmp_path, case)[0] == "not reached", difficulty
+        boxes(run, {key: mean for key, mean in EVERYWHERE.items() if key != difficulty})
+        word, evidence = judged(tmp_path, case)
+        assert (word, facts(evidence)) == ("open", ["Dueling Double DQN", 3, 4])
+    boxes(run, EVERYWHERE, trained=2999)
+    assert judged(tmp_path, case)[0] == "open", "a model that is not the finished run's"
+
+
+def test_what_is_played_of_a_goal_that_waits_is_a_share_of_all_games_planned(tmp_path):
+    for agent in AGENTS:
+        store(tmp_path, "breakout_final", agent, np.zeros(3000))
+    store(tmp_path, FINAL, DQN, np.zeros(2250))
+    case = CASES["goal comparable data"]
+    assert judged(tmp_path, case)[0] == "open"
+    expected = "62 `boxing_final` 25 `breakout_final` 100"  # 2,250 of 9,000; 62.5 on average
+    assert facts(judged(tmp_path, case)[1]) == facts(expected)
+    assert facts(judged(tmp_path, CASES["4 double highest"])[1]) == facts("`boxing_final` 25")
+
+
+def test_the_doubt_about_where_training_began_widens_the_interval_of_a_gain(tmp_path):
+    case = CASES["15 faster in expert mode"]
+    for place, stored in case.true.items():
+        stored.put(tmp_path, place)
+    # Of 50 games, two lie 100 above the level of the others: a variance of 100 ** 2 * (2 / 50) *
+    # (48 / 50) = 384 a game, 384 / 50 of a mean, twice that of the difference of two.
+    half = 1.96 * (2 * 384 / 50) ** 0.5
+    for part in judged(tmp_path, case)[1].split("; "):
+        assert numbers(part)[-2:] == pytest.approx([20 - half, 20 + half], abs=0.06)
+
+
+@pytest.fixture
+def three_seeds(tmp_path):
+    """Stores Dueling Double DQN from three seeds, whose scores and greedy games have the means of
+    one experiment each, and returns the study."""
+
+    def of(**means):
+        stored = study(tmp_path)
+        for experiment, of_seeds in means.items():
+            for seed, mean in enumerate(of_seeds, start=1):
+                scores = window(2501, 3000, mean, -LOUD)[: settings(experiment).episodes]
+                run = store(tmp_path, experiment, DUELING, scores, seed=seed)
+                boxes(run, dict.fromkeys(EVERYWHERE, mean), conceded=mean)
+            stored.sections[experiment] = Section(
+                experiment, "full", str(tmp_path), [DUELING], [1, 2, 3]
+            )
+        return stored
+
+    return of
+
+
+def test_of_three_seeds_a_mean_has_students_interval_over_seeds(three_seeds):
+    stored = three_seeds(boxing_final=[10.0, 20.0, 30.0])
+    found = verdicts.human_level(stored, FINAL)
+    half = stats.t.ppf(0.975, 2) * 10 / 3**0.5
+    assert found.verdict == "inconclusive"
+    assert numbers(found.evidence) == pytest.approx([20, 20 - half, 20 + half, 12.1], abs=0.06)
+    boxer = verdicts.beaten_everywhere(stored)
+    assert boxer.verdict == "inconclusive"
+    expected = [0, 20, 20 - half, 20 + half, 50]  # difficulty, mean, interval, % by knock-out
+    assert numbers(boxer.evidence)[:5] == pytest.approx(expected, abs=0.06)
+    assert verdicts.human_level(three_seeds(boxing_final=[19.0, 20.0, 21.0]), FINAL).verdict == (
+        "supported"
+    )
+
+
+def test_of_three_seeds_greedy_games_are_compared_as_seeds(three_seeds):
+    one, other = [60.0, 80.0, 100.0], [20.0, 24.0, 28.0]  # points in two minutes
+    stored = three_seeds(boxing_low_gamma=one, boxing_final=other)
+    (found,) = verdicts.greedy(stored, "boxing_low_gamma", FINAL, "conceded_a_minute")
+    welch = stats.ttest_ind(np.divide(one, 2), np.divide(other, 2), equal_var=False)
+    low, high = welch.confidence_interval()
+    assert numbers(found.evidence) == pytest.approx([40, 12, low, high], abs=0.06)
+
+
+def test_a_boxers_games_that_repeat_others_narrow_no_interval(tmp_path):
+    run = store(tmp_path, FINAL, DUELING, np.zeros(10))
+    widths = []
+    for times in (1, 4):
+        (run.folder / "evaluations.csv").unlink(missing_ok=True)
+        for number, difficulty in enumerate(list(EVERYWHERE) * times):
+            evaluate(run, games=5, add=number > 0, score=50.0, difficulty=difficulty)
+        low, high = INTERVAL.search(verdicts.beaten_everywhere(study(tmp_path)).evidence).groups()[
+            1:
+        ]
+        widths.append(float(high) - float(low))
+    assert widths[1] == pytest.approx(widths[0], rel=0.15)
 
 
 def scores(mean, games=3000, seed=0):
     return mean + np.random.default_rng(seed).normal(0, 5, games)
 
 
-def verdict(results, claim):
-    table = claims.findings(Study("full", str(results)))
-    return table[table.claim == claim].iloc[0]
+def verdict(results, text):
+    (claim,) = [claim for claim in claims.FINDINGS if claim.text == text]
+    return claim.judge(study(results))
 
 
 BEST = "Double DQN ends highest in Boxing"
 
 
 def test_without_runs_every_claim_is_not_yet_run(tmp_path):
-    study = Study("full", str(tmp_path))
-    assert set(claims.findings(study).verdict) == {verdicts.NOT_YET}
-    assert set(claims.goals(study).here) == {verdicts.NOT_YET}
-    assert set(claims.interpretations(study).verdict) == {verdicts.NOT_YET, "not tested"}
-    assert summaries.reading(study, "boxing_low_gamma") == ""
-    assert "Training has only begun: 0 of" in summaries.headline(study)
+    empty = study(tmp_path)
+    assert set(claims.findings(empty).verdict) == {verdicts.NOT_YET}
+    assert set(claims.goals(empty).here) == {verdicts.NOT_YET}
+    assert set(claims.interpretations(empty).verdict) == {verdicts.NOT_YET, "not tested"}
+    assert summaries.reading(empty, "boxing_low_gamma") == ""
+    assert "Training has only begun: 0 of" in summaries.headline(empty)
 
 
 @pytest.mark.parametrize(
@@ -133,13 +678,6 @@ def test_a_curve_that_rises_less_does_not_oscillate_more(tmp_path):
     assert found.count(verdicts.INCONCLUSIVE) >= 17
 
 
-def check(run, scores):
-    """Gives a run its greedy scores after every hundred games."""
-    games = 100 * np.arange(1, len(scores) + 1)
-    table = pd.DataFrame({"episode": games, "score": scores, "predicted": 1.0, "realised": 1.0})
-    table.to_csv(run.folder / "values.csv", index=False)
-
-
 def test_what_is_learned_along_the_way_is_compared_after_the_same_games(tmp_path):
     claim = (
         "The early Boxing settings (rate 1e-3, batch 64, floor 0.1) learn less than the final ones"
@@ -165,108 +703,11 @@ def test_only_dqn_is_human_in_breakout_falls_with_a_better_double_dqn(tmp_path):
     assert verdict(tmp_path, claim).verdict == verdicts.CONTRADICTED
 
 
-def test_a_reading_tells_where_a_run_stands_and_when_it_passed_the_human_score(tmp_path):
-    curve = np.concatenate([np.linspace(0, 24.1, 200), np.full(100, 20.0)])
-    store(tmp_path, "boxing_final", "dqn", curve)
-    text = summaries.reading(Study("full", str(tmp_path)), "boxing_final")
-    mean = pd.Series(curve).rolling(100).mean()
-    passed = int(mean.gt(12.1).idxmax()) + 1
-    assert "DQN scores 20.0 points a game over the last 100 of 300 games, 22% of its" in text
-    assert f"first passed the human 12.1 after game {passed};" in text
-    assert "claims 1, 2, 3, 4 are still open" in text
-
-
-def test_a_reading_puts_the_source_reports_scores_beside_ours_at_the_last_common_mark(tmp_path):
-    store(tmp_path, "boxing_final", "dqn", np.full(1100, 60.0))
-    store(tmp_path, "boxing_final", "double_dqn", np.full(600, 20.0))
-    study = Study("full", str(tmp_path))
-    expected = (
-        "where both are known: DQN 60.0 and 51.6 (games 501 to 1,000), "
-        "Double DQN 20.0 and 29.0 (games 1 to 500)."
-    )
-    for text in (summaries.reading(study, "boxing_final"), summaries.conclusion(study)):
-        assert expected in text
-        assert "does not say how often its network was updated" in text
-    store(tmp_path, "boxing_final", "double_dqn", np.full(600, 40.0))
-    text = summaries.reading(Study("full", str(tmp_path)), "boxing_final")
-    assert "Double DQN 40.0 and 29.0" in text
-    assert "updated" not in text, "where ours are not below"
-
-
-def test_an_agent_that_has_just_begun_is_named_and_compared_with_nobody(tmp_path):
-    store(tmp_path, "boxing_final", "dqn", np.full(700, 5.0))
-    store(tmp_path, "boxing_final", "double_dqn", np.full(600, 9.0))
-    store(tmp_path, "boxing_final", "dueling_double_dqn", np.full(120, 50.0))
-    study = Study("full", str(tmp_path))
-    assert (
-        "After 600 games of Boxing the agent with the most points so far, Double DQN, scores 9.0"
-        in (summaries.headline(study))
-    )
-    assert "Double DQN 9.0, DQN 5.0" in summaries.conclusion(study)
-    assert "Dueling Double DQN has played 120 games only" in summaries.conclusion(study)
-
-
-def test_a_second_seed_that_has_just_begun_takes_nothing_from_the_first(tmp_path):
-    store(tmp_path, "boxing_final", "dqn", np.full(700, 5.0))
-    study = Study("full", str(tmp_path))
-    section = study["boxing_final"]
-    second = section.episodes.head(120).assign(seed=2, score=90.0)
-    section.__dict__["episodes"] = pd.concat([section.episodes, second])
-    assert "After 700 games of Boxing DQN scores 5.0 points a game" in summaries.headline(study)
-
-
-def test_a_reading_tells_of_the_newest_greedy_games(tmp_path):
-    run = store(tmp_path, "boxing_final", "dqn", np.full(900, 5.0))
-    check(run, [0.0, 10.0, 20.0, 30.0, 40.0])
-    evaluate(run, trained=420, score=7.0)
-    text = summaries.reading(Study("full", str(tmp_path)), "boxing_final")
-    assert "Playing 40 games greedily after 420 of training, it scored" in text
-    evaluate(run, trained=390, score=7.0)
-    text = summaries.reading(Study("full", str(tmp_path)), "boxing_final")
-    assert "Playing four games greedily after 500 of training, it scored 40.0" in text
-
-
-def test_finished_runs_are_told_of_as_finished(tmp_path):
-    for agent, mean in (("dqn", 80.0), ("double_dqn", 90.0), ("dueling_double_dqn", 85.0)):
-        run = store(tmp_path, "boxing_final", agent, np.full(3000, mean))
-        evaluate(run, score=mean)
-    study = Study("full", str(tmp_path))
-    headline = summaries.headline(study)
-    assert (
-        "over the last 500 of 3,000 training games is that of Double DQN, 90.0 points" in headline
-    )
-    reading = summaries.reading(study, "boxing_final")
-    scored = pd.read_csv(run.folder / "evaluations.csv").score.mean()
-    said = f"Playing 40 games greedily after 3,000 of training, it scored {scored:.1f}"
-    assert said in reading
-    assert "so far" not in headline.split("Of 16 claims")[0] + reading
-
-
-def test_at_another_difficulty_no_human_score_is_passed(tmp_path):
-    store(tmp_path, "boxing_expert", "dqn", np.full(600, 60.0))
-    text = summaries.reading(Study("full", str(tmp_path)), "boxing_expert")
-    assert "DQN scores 60.0" in text
-    assert "human" not in text
-
-
 def test_an_interpretation_gets_no_verdict_but_its_premise_does(tmp_path):
     for agent, mean in (("dqn", 80.0), ("double_dqn", 60.0), ("dueling_double_dqn", 70.0)):
         store(tmp_path, "boxing_final", agent, scores(mean))
-    found = claims.interpretations(Study("full", str(tmp_path))).verdict.tolist()
+    found = claims.interpretations(study(tmp_path)).verdict.tolist()
     assert found[:2] == ["premise fails", "premise holds"]
-
-
-def evaluate(run, trained=None, **columns):
-    """Gives a run an evaluation of 40 greedy games, whose columns have the given means."""
-    columns = {"distance": 40.0, "scored": 30.0, "conceded": 10.0, **columns}
-    rng = np.random.default_rng(1)
-    games = {name: mean + rng.normal(0, 1, 40) for name, mean in columns.items()}
-    table = pd.DataFrame({"game": range(40), "difficulty": run.params.difficulty, **games})
-    table = table.assign(
-        sticky_actions=0.0, epsilon=0.001, trained_games=trained or run.params.episodes,
-        length=1785, frames=7140,
-    )  # fmt: skip
-    table.to_csv(run.folder / "evaluations.csv", index=False)
 
 
 def test_greedy_games_decide_where_two_set_ups_explore_differently(tmp_path):
@@ -329,7 +770,7 @@ def test_what_is_gained_counts_in_expert_mode_and_not_the_scale_of_its_scores(tm
 
 
 def test_three_seeds_a_side_are_compared_as_seeds(tmp_path):
-    section = Study("full", str(tmp_path))["boxing_final"]
+    section = study(tmp_path)["boxing_final"]
     section.__dict__["episodes"] = pd.DataFrame(
         {
             "agent": np.repeat(["dqn", "double_dqn"], 3 * 150),

@@ -4,10 +4,12 @@ from pathlib import Path
 
 import pytest
 import torch
+from synthetic import numbers
 from torch import nn
 
 from atari_dqn import params
 from atari_dqn.analysis import study
+from atari_dqn.envs import AtariGame
 from atari_dqn.params import Parameters
 from atari_dqn.report import design
 from atari_dqn.runs import plan
@@ -52,3 +54,70 @@ def test_differences_list_what_an_experiment_changes_and_nothing_else():
     assert table["`boxing_expert`"] == "`difficulty` 3"
     assert table["`breakout_late`"] == "`game` breakout; `epsilon_floor` 0.1"
     assert "batch size x 2" in table["`boxing_sensitivity`"]
+
+
+def test_exploration_is_told_with_the_games_until_its_floor():
+    p = Parameters(
+        experiment="any", epsilon_start=1.0, epsilon_decay=0.5, epsilon_floor=0.125,
+        target_update_period=3000,
+    )  # fmt: skip
+    assert numbers(design.exploration_text(p)) == [1, 0.5, 0.125, 3, 3000]
+
+
+def test_units_follow_from_the_frames_of_a_full_game():
+    p = Parameters(experiment="any", frame_skip=5, update_period=2, episodes=1000)
+    table = design.units(p).set_index("unit")
+    frames = design.GAME_FRAMES
+    game, everything = table.columns[1:]
+    assert numbers(everything) == [1000]
+    counts = {"frame": frames, "agent step": frames / 5, "update": frames / 10, "game": 1}
+    for unit, count in counts.items():
+        assert numbers(table.loc[unit, game]) == pytest.approx([count], rel=0.005)
+        assert numbers(table.loc[unit, everything]) == pytest.approx([1000 * count], rel=0.005)
+    assert numbers(table.loc["agent step", "is"]) == [5]
+    assert numbers(table.loc["update", "is"]) == [2]
+
+
+def test_a_full_game_of_boxing_has_about_as_many_frames_as_is_said():
+    """Two boxers of whom one never moves: nobody is knocked out."""
+    game = AtariGame("boxing")
+    game.reset(seed=1)
+    over = False
+    while not over:
+        _, _, terminated, truncated, _ = game.step(0)
+        over = terminated or truncated
+    assert game.frames == pytest.approx(design.GAME_FRAMES, rel=0.005)
+
+
+def test_the_source_reports_scores_stand_beside_its_games_agents_and_marks():
+    table = design.source_scores().set_index(["game", "agent"])
+    assert table.loc[("Boxing", "Double DQN"), "500"] == 28.99
+    assert table.loc[("Boxing", "DQN"), "3000"] == 85.61
+    assert table.loc[("Breakout", "Dueling Double DQN"), "2000"] == 19.65
+    assert len(table) == 6
+
+
+def test_a_million_images_are_a_thousandth_of_a_gigabyte_for_every_byte_of_one(monkeypatch):
+    sizes = {"boxing": [400, 600], "breakout": [110, 130]}
+    monkeypatch.setattr(design, "_compressed_sizes", lambda name, images: sizes[name])
+    found = numbers(design.memory_text(images=300))
+    assert found == [300, 84 * 84, 500, 120, 0.50, 0.12]
+
+
+def test_settings_are_each_experiments_own():
+    loaded = {path.stem: params.load(path) for path in plan.files("full")}
+    table = design.settings([loaded["boxing_final"], loaded["breakout_final"]])
+    table = table.set_index("parameter")
+    for key, boxing, breakout in (
+        ("`game`", "boxing", "breakout"),
+        ("`batch_size`", "32", "64"),
+        ("`life_loss_penalty`", "0", "1"),
+        ("`learning_rate`", "0.0001", "0.0001"),
+        ("`replay_capacity`", "1,000,000", "1,000,000"),
+    ):
+        assert table.loc[key, ["`boxing_final`", "`breakout_final`"]].tolist() == [boxing, breakout]
+    rows = design.differences(list(loaded.values())).set_index("experiment")
+    assert rows.games["`boxing_final`"] == "3,000"
+    assert rows.games["`breakout_early`"] == "7,000"
+    assert rows.agents["`boxing_final`"] == "all three"
+    assert rows.agents["`boxing_high_gamma`"] == "Dueling Double DQN"

@@ -5,26 +5,16 @@ import shutil
 import numpy as np
 import pandas as pd
 import pytest
-from test_claims import store
+from synthetic import AGENTS, check, evaluate, numbers, store, study, window, windows
 
 from atari_dqn import params
 from atari_dqn.analysis.study import Section
-from atari_dqn.report import outputs, results
+from atari_dqn.report import notebook, outputs, results
 from atari_dqn.runs import plan, recorder
 from atari_dqn.runs.files import project_root
 
-
-@pytest.fixture
-def tables(monkeypatch):
-    """{label: table} of what is shown; places that are only held are missing."""
-    shown = {}
-
-    def show(table, label, caption, decimals=2):
-        shown[label] = table
-
-    monkeypatch.setattr(results, "show_table", show)
-    monkeypatch.setattr(results, "show_figure", lambda *_, **__: None)
-    return shown
+DQN, DOUBLE, DUELING = AGENTS
+FAR = 5000.0  # points, of a game that must not count
 
 
 def test_missing_numbers_of_any_kind_are_dashes_and_numbers_stand_to_the_right(monkeypatch):
@@ -35,6 +25,140 @@ def test_missing_numbers_of_any_kind_are_dashes_and_numbers_stand_to_the_right(m
     rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in said[0].splitlines()[:4]]
     assert rows[2:] == [["DQN", "1.2", "3"], ["–", "–", "–"]]
     assert [cell.endswith(":") for cell in rows[1]] == [False, True, True]
+
+
+def test_scores_at_marks_are_ours_by_agent_and_seed_beside_the_source_reports(tmp_path, shown):
+    means = {(1, 500): 10, (501, 1000): 20, (1001, 1500): 30}
+    store(tmp_path, "boxing_final", DOUBLE, windows(means, FAR))
+    store(tmp_path, "boxing_final", DQN, windows({(501, 1000): -3}, FAR), seed=2)
+    results.show_marks(Section("boxing_final", "full", str(tmp_path), [DQN, DOUBLE], [1, 2]))
+    rows = shown.tables["tbl-boxing-final-marks"]
+    marks = ["500", "1000", "1500", "2000", "2500", "3000"]
+    found = [(row["agent"], row["whose"], [row[mark] for mark in marks]) for row in rows]
+    assert found == [
+        ("DQN", "ours, seed 2", ["5000.00", "-3.00", *"––––"]),
+        ("DQN", "source report", ["10.61", "51.62", "69.93", "81.78", "82.75", "85.61"]),
+        ("Double DQN", "ours, seed 1", ["10.00", "20.00", "30.00", *"–––"]),
+        ("Double DQN", "source report", ["28.99", "80.19", "89.72", "90.79", "92.11", "92.62"]),
+        (
+            "Dueling Double DQN",
+            "source report",
+            ["36.27", "72.43", "83.42", "88.13", "88.34", "89.79"],
+        ),
+    ]
+    caption = shown.captions["tbl-boxing-final-marks"]
+    assert numbers(caption)[:3] == [500, 1, 2520], "games a mean is of, seeds, games"
+    assert "Human 12.1, random play 0.1" in caption
+
+
+def test_marks_of_a_shorter_experiment_are_sixths_of_its_games(tmp_path, shown):
+    sixths = {
+        (2, 167): 1,
+        (168, 333): 2,
+        (335, 500): 3,
+        (502, 667): 4,
+        (668, 833): 5,
+        (835, 1000): 6,
+    }
+    store(tmp_path, "boxing_low_gamma", DUELING, windows(sixths, FAR, after=0))
+    results.show_marks(study(tmp_path)["boxing_low_gamma"])
+    (row,) = shown.tables["tbl-boxing-low-gamma-marks"]
+    assert list(row) == ["agent", "whose", "167", "333", "500", "667", "833", "1000"]
+    assert list(row.values())[2:] == ["1.00", "2.00", "3.00", "4.00", "5.00", "6.00"]
+    assert numbers(shown.captions["tbl-boxing-low-gamma-marks"])[0] == 166
+
+
+KNOCKED = [1] * 10 + [-1] * 20 + [0] * 10  # of 40 games, a quarter by knock-out, half knocked out
+
+
+def test_an_evaluation_has_a_row_a_run_of_the_games_played_as_it_was_trained(tmp_path, shown):
+    for agent, mean, won in ((DQN, 10.0, 0.25), (DOUBLE, -30.0, 0.5)):
+        run = store(tmp_path, "boxing_final", agent, np.zeros(700))
+        wins = np.arange(40) < 40 * won
+        evaluate(run, trained=600, score=mean, won=wins, knockout=KNOCKED)
+        for otherwise in ({"difficulty": 2}, {"sticky_actions": 0.25}, {"trained": 500}):
+            evaluate(run, add=True, **{"trained": 600, **otherwise}, score=-90.0, knockout=1)
+    for trained in (500, 600):  # games of random moves, the same whichever model stood by
+        evaluate(run, add=True, trained=trained, epsilon=1.0, score=0.5, won=False, games=20)
+    results.show_evaluations(study(tmp_path)["boxing_final"])
+    rows = shown.tables["tbl-boxing-final-evaluation"]
+    columns = ("agent", "seed", "training games", "games", "mean score", "won", "by knock-out")
+    assert [tuple(row[name] for name in columns) for row in rows] == [
+        ("DQN", "1", "600", "40", "10.0", "25%", "25%"),
+        ("Double DQN", "1", "600", "40", "-30.0", "50%", "25%"),
+        ("random play", "–", "–", "20", "0.5", "0%", "0%"),
+    ]
+    for row in rows:
+        low, high = numbers(row["95% interval"])
+        # of 40 values evenly spread over two points
+        assert high - low == pytest.approx(
+            2 * 1.96 * 2 / 12**0.5 / int(row["games"]) ** 0.5, abs=0.12
+        )
+        assert (low + high) / 2 == pytest.approx(float(row["mean score"]), abs=0.11)
+    caption = shown.captions["tbl-boxing-final-evaluation"]
+    assert numbers(caption)[:1] == [0], "the difficulty"
+
+
+def test_games_of_breakout_are_not_won_by_knock_out(tmp_path, shown):
+    run = store(tmp_path, "breakout_final", DQN, np.zeros(700))
+    evaluate(run, score=30.0)
+    results.show_evaluations(study(tmp_path)["breakout_final"])
+    (row,) = shown.tables["tbl-breakout-final-evaluation"]
+    assert row["mean score"] == "30.0"
+    assert not {"won", "by knock-out"} & set(row)
+
+
+def test_conditions_are_rows_of_their_own(tmp_path, shown):
+    run = store(tmp_path, "boxing_expert", DQN, np.zeros(1000))
+    evaluate(run, score=50.0)
+    evaluate(run, add=True, score=40.0, difficulty=1, knockout=KNOCKED, games=40)
+    evaluate(run, add=True, score=30.0, sticky_actions=0.25, won=False, games=10)
+    results.show_conditions(study(tmp_path)["boxing_expert"])
+    rows = shown.tables["tbl-boxing-expert-conditions"]
+    columns = ("difficulty", "sticky", "mean score", "won", "by knock-out")
+    assert [tuple(row[name] for name in columns) for row in rows] == [
+        ("3", "0", "50.0", "100%", "0%"),
+        ("1", "0", "40.0", "100%", "25%"),
+        ("3", "0.25", "30.0", "0%", "0%"),
+    ]
+    assert numbers(shown.captions["tbl-boxing-expert-conditions"])[:2] == [3, 0], "as trained"
+
+
+def test_a_sweep_has_a_row_a_variation_beside_the_same_games_of_the_unchanged_set_up(
+    tmp_path, shown
+):
+    last = {(485, 500): 8.0}  # of 500 games, the mean is over a thirtieth
+    store(tmp_path, "boxing_final", DUELING, windows(last, FAR))
+    store(tmp_path, "boxing_final", DQN, np.full(500, FAR))
+    sweep, changes = "boxing_sensitivity", {"learning rate x 4": 3.0, "raw rewards": -5.0}
+    for label, mean in changes.items():
+        scores = window(485, 500, mean, FAR, after=0)
+        run = store(tmp_path, sweep, DUELING, scores, variation=label)
+        evaluate(run, score=mean + 10)
+        evaluate(run, add=True, score=99, difficulty=1)
+    store(tmp_path, sweep, DUELING, window(185, 200, 1.0, FAR, after=0), variation="batch size x 2")
+    stored = study(tmp_path)
+    results.show_variations(stored[sweep], stored["boxing_final"], DUELING)
+    rows = shown.tables["tbl-boxing-sensitivity"]
+    mean = "mean of the last 16 games"
+    found = [
+        (row["variation"], row["games"], row["hours"], row[mean], row["evaluation"]) for row in rows
+    ]
+    assert found == [
+        ("unchanged", "500", "5.0", "8.0", "–"),
+        ("learning rate x 4", "500", "5.0", "3.0", "13.0"),
+        ("batch size x 2", "200", "2.0", "1.0", "–"),
+        ("raw rewards", "500", "5.0", "-5.0", "5.0"),
+    ]
+    for row in rows:
+        low, high = numbers(row["95% interval"])
+        assert low < float(row[mean]) < high
+    (axes,) = shown.figures["fig-boxing-sensitivity-curves"].axes
+    names = [text.get_text() for text in axes.get_legend().get_texts()]
+    assert names == [name for name, *_ in found]
+    ends = [line.get_xdata()[-1] for line in axes.get_lines() if len(line.get_xdata()) > 2]
+    assert ends == [500, 500, 200, 500]
+    assert numbers(shown.captions["fig-boxing-sensitivity-curves"])[0] == 16
 
 
 def test_any_game_of_the_emulator_goes_from_its_file_to_a_curve(tmp_path, monkeypatch, small):
@@ -54,56 +178,83 @@ def test_any_game_of_the_emulator_goes_from_its_file_to_a_curve(tmp_path, monkey
     assert figures["fig-pong-curves"].startswith("Pong, `pong`: raw score while training")
 
 
-def test_transfer_is_measured_over_the_games_that_both_runs_have(tmp_path, tables):
-    scratch = store(tmp_path, "boxing_final", "dqn", np.full(1200, 10.0))
-    moved = store(tmp_path, "boxing_transfer", "dqn", np.full(900, 15.0))
+def test_transfer_is_measured_over_the_games_that_both_runs_have(tmp_path, shown):
+    scratch = store(tmp_path, "boxing_final", DQN, np.full(1200, 10.0))
+    moved = store(tmp_path, "boxing_transfer", DQN, np.full(900, 15.0))
     for run, score in ((scratch, 2.0), (moved, 12.0)):
-        checks = pd.DataFrame({"episode": [100, 200, 900], "score": [score, score, 99.0]})
-        checks.to_csv(run.folder / "values.csv", index=False)
-    sections = [
-        Section(name, "full", str(tmp_path)) for name in ("boxing_transfer", "boxing_final")
+        check(run, np.array([score, *[99.0 * score] * 8]))
+    store(tmp_path, "boxing_final", DOUBLE, window(685, 850, 20.0, 0.0))
+    store(tmp_path, "boxing_transfer", DOUBLE, window(685, 850, -4.0, 0.0, after=0))
+    stored = study(tmp_path)
+    results.show_transfer(stored["boxing_transfer"], stored["boxing_final"])
+    first, second = shown.tables["tbl-transfer"]
+    assert list(first.values()) == ["DQN", "900", "10.00", f"{5 / 110:.2f}", "5.00"]
+    area = -24 * 166 / (850 * 100 + 20 * 166)
+    assert list(second.values()) == ["Double DQN", "850", "–", f"{area:.2f}", "-24.00"]
+    # greedy games a check, of which games; the scores' lowest; of which games
+    assert numbers(shown.captions["tbl-transfer"]) == [20, 166, -100, 166]
+
+
+def test_seeds_weigh_alike_in_what_transfer_is_worth(tmp_path, shown):
+    for seed, mean in ((1, 10.0), (2, 30.0)):
+        store(tmp_path, "boxing_final", DQN, np.full(400, 0.0), seed=seed)
+        store(tmp_path, "boxing_transfer", DQN, np.full(250 + 50 * seed, mean), seed=seed)
+    pair = [
+        Section(name, "full", str(tmp_path), [DQN], [1, 2])
+        for name in ("boxing_transfer", "boxing_final")
     ]
-    results.show_transfer(*sections)
-    (row,) = tables["tbl-transfer"].to_dict("records")
-    assert row["games"] == 900
-    assert row["early, greedy"] == 10.0, "of the first 500 games"
-    assert row["area ratio"] == pytest.approx(5 / 110)
-    assert row["at the end"] == pytest.approx(5.0)
+    results.show_transfer(*pair)
+    (row,) = shown.tables["tbl-transfer"]
+    assert (row["games"], row["area ratio"], row["at the end"]) == ("300", "0.20", "20.00")
 
 
-def test_evaluations_under_other_conditions_are_columns_and_never_mixed(tmp_path, tables):
-    run = store(tmp_path, "boxing_final", "dqn", np.full(3000, 50.0))
-    rows = [
-        {"game": game, "score": score + game, "difficulty": difficulty, "sticky_actions": sticky}
-        for (difficulty, sticky), score in {(0, 0.0): 90, (1, 0.0): 60, (0, 0.25): 30}.items()
-        for game in range(3)
+def test_play_styles_are_points_a_minute_and_the_boxers_distance_by_run_and_discount(
+    tmp_path, shown
+):
+    low = store(tmp_path, "boxing_low_gamma", DUELING, np.zeros(10))
+    evaluate(low, scored=30.0, conceded=10.0, distance=25.0, frames=3600)  # a minute
+    final = store(tmp_path, "boxing_final", DQN, np.zeros(10))
+    evaluate(final, trained=700, scored=90.0, conceded=50.0, distance=35.0)  # two minutes
+    evaluate(final, add=True, trained=700, scored=1.0, conceded=1.0, distance=1.0, difficulty=2)
+    evaluate(final, add=True, trained=100, scored=1.0, conceded=1.0, distance=1.0)
+    stored = study(tmp_path)
+    results.show_playstyle([stored["boxing_low_gamma"], stored["boxing_final"]], "tbl-playstyle")
+    rows = shown.tables["tbl-playstyle"]
+    assert [list(row.values())[:4] for row in rows] == [
+        ["0.9", "Dueling Double DQN", "1", "1000"],
+        ["0.99", "DQN", "1", "700"],
     ]
-    table = pd.DataFrame(rows).assign(
-        epsilon=0.001, won=True, knockout=0, trained_games=3000, frames=7200, scored=60, conceded=9
-    )
-    table.to_csv(run.folder / "evaluations.csv", index=False)
-    section = Section("boxing_final", "full", str(tmp_path))
-    results.show_conditions(section)
-    results.show_evaluations(section)
-    shown = tables["tbl-boxing-final-conditions"].set_index(["difficulty", "sticky"])
-    assert shown["mean score"].to_dict() == {(0, "0"): 91.0, (1, "0"): 61.0, (0, "0.25"): 31.0}
-    (row,) = tables["tbl-boxing-final-evaluation"].to_dict("records")
-    assert (row["games"], row["mean score"], row["training games"]) == (3, 91.0, 3000)
-    earlier = table.assign(trained_games=500, score=-50.0)
-    guessed = table[table.difficulty == 0].assign(epsilon=1.0, score=0.5, trained_games=500)
-    pd.concat([earlier, table, guessed]).to_csv(run.folder / "evaluations.csv", index=False)
-    results.show_evaluations(Section("boxing_final", "full", str(tmp_path)))
-    shown = tables["tbl-boxing-final-evaluation"].set_index("agent")["mean score"]
-    assert shown.to_dict() == {"DQN": 91.0, "random play": 0.5}, "of the newest model only"
+    columns = ("points scored", "points conceded", "distance (pixels)")
+    found = [[numbers(row[name]) for name in columns] for row in rows]
+    assert [[mean for mean, *_ in row] for row in found] == [[30, 10, 25], [45, 25, 35]]
+    for row in found:
+        for mean, low, high in row:
+            assert low < mean < high
+            assert high - low < 0.5
+    assert "points a minute" in shown.captions["tbl-playstyle"]
 
 
-def test_one_condition_alone_is_no_comparison(tmp_path, tables):
-    run = store(tmp_path, "boxing_final", "dqn", np.full(600, 50.0))
-    games = pd.DataFrame({"game": range(3), "score": 60.0, "length": 1700, "seed": 1})
-    games = games.assign(won=True, knockout=0, frames=7200, scored=60, conceded=9)
-    greedy = games.assign(difficulty=0, sticky_actions=0.0, epsilon=0.001, trained_games=600)
-    guessed = greedy.assign(difficulty=3, epsilon=1.0)
-    for table in (greedy, pd.concat([greedy, guessed])):
-        table.to_csv(run.folder / "evaluations.csv", index=False)
-        results.show_conditions(Section("boxing_final", "full", str(tmp_path)))
-        assert not tables
+def test_one_condition_alone_is_no_comparison(tmp_path, shown):
+    run = store(tmp_path, "boxing_final", DQN, np.full(600, 50.0))
+    evaluate(run)
+    results.show_conditions(study(tmp_path)["boxing_final"])
+    evaluate(run, add=True, difficulty=3, epsilon=1.0)
+    results.show_conditions(study(tmp_path)["boxing_final"])
+    assert not shown.tables
+
+
+def test_a_badge_tells_what_is_complete_the_share_played_and_what_is_planned(tmp_path, shown):
+    store(tmp_path, "boxing_final", DQN, np.zeros(3000))
+    store(tmp_path, "boxing_final", DOUBLE, np.zeros(1500))
+    stored = study(tmp_path)
+    notebook.show_badge(stored["boxing_final"])
+    assert numbers(shown.texts[-1])[:6] == [1, 3, 4500, 50, 3, 3000]
+    assert ".partial" in shown.texts[-1]
+    assert numbers(stored["boxing_final"].counted()) == [1, 4500]
+    notebook.show_badge(stored["boxing_low_gamma"])
+    assert "Not started" in shown.texts[-1]
+    assert numbers(shown.texts[-1])[:2] == [1, 1000]
+    store(tmp_path, "boxing_low_gamma", DUELING, np.zeros(1000))
+    notebook.show_badge(study(tmp_path)["boxing_low_gamma"])
+    assert numbers(shown.texts[-1])[:6] == [1, 1, 1000, 100, 1, 1000]
+    assert ".partial" not in shown.texts[-1]

@@ -1,3 +1,5 @@
+import re
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -27,6 +29,13 @@ def test_the_interval_covers_the_true_mean_about_as_often_as_it_says():
         low, high = interval(rng.normal(3, 2, size=60))
         hits += low < 3 < high
     assert 180 <= hits <= 200
+
+
+def test_the_interval_of_many_values_is_two_standard_errors_each_way():
+    values = np.random.default_rng(0).normal(3, 2, size=400)
+    half = 1.96 * values.std() / 20
+    low, high = interval(values)
+    assert (low, high) == pytest.approx((values.mean() - half, values.mean() + half), abs=half / 20)
 
 
 def test_one_value_has_no_interval():
@@ -94,3 +103,32 @@ def test_blocks_are_means_of_fifty_successive_games_and_the_oldest_remainder_goe
     scores = np.r_[np.full(7, 99.0), np.full(50, 1.0), np.full(50, 3.0)]
     assert statistics.blocks(scores).tolist() == [1.0, 3.0]
     assert statistics.blocks(scores[:49]).size == 0
+
+
+def test_a_mean_is_written_before_its_interval_and_the_lower_bound_first():
+    values = np.array([10.0, 20.0, 30.0, 40.0])
+    mean, low, high = (
+        float(one) for one in re.findall(r"[\d.]+", statistics.with_interval(values))
+    )
+    assert mean == 25.0
+    assert 10 < low < mean < high < 40
+    assert statistics.with_interval(values[:1]) == "10.0"
+
+
+def test_scores_at_marks_keep_agents_and_seeds_apart_and_end_with_the_marks_game():
+    """Scores that jump at a window's edges, of two agents and two seeds."""
+    rows = [
+        {
+            "agent": agent,
+            "seed": seed,
+            "episode": game,
+            "score": base + seed + 100 * (4 <= game <= 6),
+        }
+        for agent, base in (("dqn", 10), ("double_dqn", 20))
+        for seed in (1, 2)
+        for game in range(1, 9)
+    ]
+    table = scores_at_marks(pd.DataFrame(rows), (3, 6, 8), window=3)
+    assert table.loc[("dqn", 1)].tolist() == pytest.approx([11, 111, 11 + 100 / 3])
+    assert table.loc[("dqn", 2), 6] == 112
+    assert table.loc[("double_dqn", 2), 6] == 122

@@ -190,7 +190,7 @@ def _without_exploring(evaluated: pd.DataFrame, checks: pd.DataFrame) -> str:
     if not tried and not checked:
         return ""
     fresh = tried >= checked - RECENT
-    count, games = (len(evaluated), tried) if fresh else ("four", checked)
+    count, games = (len(evaluated), tried) if fresh else (params.VALUE_GAMES, checked)
     score = evaluated.score.mean() if fresh else checks.score.iloc[-1]
     return f". Playing {count} games greedily after {games:,} of training, it scored {score:.1f}"
 

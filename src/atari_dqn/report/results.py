@@ -9,7 +9,8 @@ import pandas as pd
 from atari_dqn import params
 from atari_dqn.analysis.statistics import MARKS, interval, scores_at_marks, with_interval
 from atari_dqn.analysis.study import Section, data
-from atari_dqn.params import HELD_OUT_STATES
+from atari_dqn.evaluation import VALUES_PERIOD
+from atari_dqn.params import HELD_OUT_STATES, VALUE_GAMES
 from atari_dqn.report import plots
 from atari_dqn.report.outputs import hold_places, show_absent, show_figure, show_table, show_text
 
@@ -209,11 +210,12 @@ def show_values(section: Section) -> None:
         plots.value_errors(section.values),
         label=label,
         caption=f"{section.facts.title}, `{section.params.experiment}`: the value that the "
-        "network predicts for the states of four greedy games (solid), and the discounted return "
-        "that followed them, in rewards as the agent learns from them (dashed), every 100 training "
-        "games. Where the prediction lies above what followed, the network overestimates. A point "
-        "is four games, so that single dips mean little. Dotted: the prediction for "
-        f"{HELD_OUT_STATES} states of random play, always the same ({section.counted()}).",
+        f"network predicts for the states of {VALUE_GAMES} greedy games (solid), and the "
+        "discounted return that followed them, in rewards as the agent learns from them (dashed), "
+        f"every {VALUES_PERIOD} training games. Where the prediction lies above what followed, the "
+        f"network overestimates. A point is {VALUE_GAMES} games, so that single dips mean little. "
+        f"Dotted: the prediction for {HELD_OUT_STATES} states of random play, always the same "
+        f"({section.counted()}).",
         alt="Predicted and realised values of states against training games, a panel an agent.",
         data=section.origin + "values.csv",
     )
@@ -299,10 +301,10 @@ def show_transfer(transferred: Section, scratch: Section) -> None:
         pd.DataFrame(rows),
         label=label,
         caption=f"{transferred.facts.title}: what the start from Breakout is worth, over the games "
-        f"that both runs have played: difference in points in the greedy games (four a check) of "
-        f"the first {window} training games; area between the curves as a share of that from "
-        f"{LOWEST:g} points to the curve from scratch; difference in points in the last {window} "
-        "training games.",
+        f"that both runs have played: difference in points in the greedy games ({VALUE_GAMES} a "
+        f"check) of the first {window} training games; area between the curves as a share of that "
+        f"from {LOWEST:g} points to the curve from scratch; difference in points in the last "
+        f"{window} training games.",
     )
 
 

@@ -1,0 +1,189 @@
+"""Hours, speeds and origins: units of time, whose speed it is, and what it is compared with."""
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+from synthetic import AGENTS, numbers, store, study
+
+from atari_dqn.analysis import study as analysis
+from atari_dqn.analysis.study import Section
+from atari_dqn.report import cost
+
+DQN, DOUBLE, DUELING = AGENTS
+
+
+def test_hours_are_of_training_by_the_clock_run_by_run(tmp_path):
+    """A hundred games of a run made by hand take an hour."""
+    runs = [
+        store(tmp_path, "boxing_final", DQN, np.zeros(700)),
+        store(tmp_path, "boxing_final", DOUBLE, np.zeros(250)),
+    ]
+    assert [analysis.hours(run) for run in runs] == pytest.approx([7.0, 2.5])
+    (runs[0].folder / "timing.csv").unlink()
+    assert analysis.hours(runs[0]) == 0
+
+
+def test_memory_is_the_most_of_any_stretch_of_training(tmp_path):
+    sessions = [{"peak_memory_megabytes": 900.0}, {"peak_memory_megabytes": 2100.0}, {}]
+    run = store(tmp_path, "boxing_final", DQN, np.zeros(5), sessions=sessions)
+    assert analysis.peak_megabytes(run) == 2100.0
+    run = store(tmp_path, "boxing_final", DQN, np.zeros(5), sessions=[{}])
+    assert analysis.peak_megabytes(run) == 0
+
+
+def test_hours_are_summed_over_all_stored_runs(tmp_path, shown):
+    sessions = [{"peak_memory_megabytes": 1500.0}]
+    store(tmp_path, "boxing_final", DQN, np.zeros(3000), sessions=sessions)
+    store(tmp_path, "boxing_final", DOUBLE, np.zeros(250))
+    store(tmp_path, "boxing_sensitivity", DUELING, np.zeros(100), variation="raw rewards")
+    cost.show_hours(study(tmp_path))
+    assert numbers(shown.texts[-1]) == [3, 33.5, 1.5], "runs, hours, GB"
+    store(tmp_path, "breakout_early", DQN, np.zeros(6999))
+    cost.show_hours(study(tmp_path))
+    assert numbers(shown.texts[-1]) == [4, 103.5, 1.5]
+    store(tmp_path, "breakout_early", DQN, np.zeros(7000))
+    cost.show_hours(study(tmp_path))
+    assert numbers(shown.texts[-1]) == [4, 103.5, 1.5, 7000, 70.0, 20.5], "and the source report's"
+
+
+def test_every_stored_run_has_a_row_with_its_state_games_steps_hours_and_origin(tmp_path):
+    stretch = {"processor": "slow", "commit": "a" * 40}
+    sessions = [stretch, stretch, {"processor": "fast", "commit": "b" * 40 + "+"}]
+    store(tmp_path, "boxing_final", DOUBLE, np.zeros(3000), sessions=sessions, resumes=2)
+    run = store(tmp_path, "boxing_sensitivity", DUELING, np.zeros(150), variation="raw rewards")
+    first, second = analysis.run_table(study(tmp_path)).to_dict("records")
+    assert first["hours"] == pytest.approx(30.0)
+    assert second["hours"] == pytest.approx(1.5)
+    said = ("experiment", "agent", "seed", "state", "games", "agent steps", "resumes", "processor")
+    assert [first[key] for key in said] == [
+        *("`boxing_final`", "Double DQN", 1, "complete", "3,000", "7,500,000", 2, "fast")
+    ]
+    assert [second[key] for key in said] == [
+        *("`boxing_sensitivity`: raw rewards", "Dueling Double DQN", 1, "unfinished", "150"),
+        *("375,000", 0, "a processor"),
+    ]
+    assert first["commits"] == "`aaaaaaaa`, `bbbbbbbb+`"
+    assert second["hash"] == f"`{run.params.identity()[:8]}`"
+
+
+def measured():
+    """A benchmark: speeds in agent steps a second by library, agent and set-up."""
+    alone, cores = "one process, 1 thread", "one process a core, 1 thread"
+    threads = "one process, 2 threads"
+    rows = [
+        ("atari-dqn", DQN, alone, 100.0, 8),
+        ("atari-dqn", DQN, cores, 180.0, 8),
+        ("atari-dqn", DQN, threads, 120.0, 8),
+        ("atari-dqn", DQN, threads, 110.0, 1),
+        ("atari-dqn", DOUBLE, cores, 150.0, 8),
+        ("SB3", DQN, cores, 50.0, 8),
+        ("SB3", DQN, threads, 60.0, 8),
+        ("Tianshou", DQN, cores, 45.0, 8),
+        ("Tianshou", DOUBLE, cores, 40.0, 8),
+    ]
+    table = pd.DataFrame(
+        rows, columns=["library", "agent", "setup", "steps_per_second", "environments"]
+    )
+    speed = table.steps_per_second
+    peer = table.agent.map({DQN: 60.0, DOUBLE: 40.0})
+    return table.assign(
+        low=speed - 5, high=speed + 5, ratio_to_best_peer=speed / peer,
+        share_of_direct_roofline=speed / 150, share_of_needed_roofline=speed / 300,
+    )  # fmt: skip
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.setattr(cost, "FOLDER", str(tmp_path))
+    machine = {"cores": 2, "processor": "X", "update_period": 4, "float32_gflops_a_core": 80.6}
+    (tmp_path / "machine.json").write_text(json.dumps(machine))
+    return tmp_path
+
+
+def test_a_librarys_speed_is_that_of_its_fastest_set_up():
+    best = cost.best_setups(measured())
+    found = {(row.library, row.agent): row.steps_per_second for row in best.itertuples()}
+    assert found == {
+        ("atari-dqn", DQN): 180, ("atari-dqn", DOUBLE): 150, ("SB3", DQN): 60,
+        ("Tianshou", DQN): 45, ("Tianshou", DOUBLE): 40,
+    }  # fmt: skip
+    assert best.steps_per_second.tolist() == [180, 150, 60, 45, 40]
+
+
+def test_our_speed_is_told_with_how_many_times_the_fastest_peers_it_is(folder, shown):
+    measured().to_csv(folder / "throughput.csv", index=False)
+    cost.show_throughput()
+    speed, cores = shown.texts
+    # speed, times SB3, the aim, operations, roofline over SB3's speed, share of either roofline
+    assert numbers(speed.replace("SB3", "")) == [180, 3.0, 2.6, 81, 2.5, 120, 60]
+    assert "times is reached" in speed
+    assert numbers(cores) == [2, 1.8, 2, 1.2], "cores, gain of processes, threads, gain of threads"
+    bars = shown.figures["fig-throughput"].axes[0]
+    assert sorted(bar.get_width() for bar in bars.patches if bar.get_width()) == [
+        *(40, 45, 60, 150, 180)
+    ]
+    roofs = [line.get_xdata()[0] for line in bars.get_lines() if line.get_linestyle() == "--"]
+    assert roofs == [150, 150]
+    assert numbers(shown.captions["fig-throughput"])[:3] == [2, 32, 4], "cores, batch, period"
+
+
+def test_a_gain_beyond_the_number_of_cores_is_owned_to_be_noise(folder, shown):
+    table = measured()
+    table.loc[1, ["steps_per_second", "low", "high"]] = (210.0, 190.0, 220.0)
+    table.to_csv(folder / "throughput.csv", index=False)
+    cost.show_throughput()
+    said = numbers(shown.texts[1])
+    assert said == [2, 2.1, 2, 1.2, 2, 95, 105, 2, 190, 220], "then the range of one, and of two"
+
+
+def test_an_aim_that_is_not_reached_is_said_to_be_missed(folder, shown):
+    table = measured()
+    table.loc[table.library == "atari-dqn", "ratio_to_best_peer"] = 2.59
+    table.to_csv(folder / "throughput.csv", index=False)
+    cost.show_throughput()
+    assert "times is missed" in shown.texts[0]
+
+
+def test_the_learners_speeds_stand_under_their_names(folder, shown):
+    row = {"experiment": "boxing_final", "agent": DOUBLE, "native_steps_per_second": 180.0}
+    row |= {"torch_steps_per_second": 90.0, "ratio": 2.0, "low": 1.9, "high": 2.2}
+    pd.DataFrame([{**row, "transitions": 1_000_000}]).to_csv(folder / "learners.csv")
+    cost.show_learners()
+    (found,) = shown.tables["tbl-learners"]
+    assert (found["agent"], found["PyTorch"], found["native"]) == ("Double DQN", "90.0", "180.0")
+    assert numbers(found["times"]) == [2.0, 1.9, 2.2]
+    assert numbers(shown.captions["tbl-learners"])[:2] == [1_000_000, 90]
+
+
+def test_a_whole_run_is_told_from_its_empty_memory_to_its_full_one(folder, shown):
+    first = {"transitions": 20_000, "steps_per_second": 200.0, "checkpoint_seconds": 1.0}
+    first |= {"checkpoint_share_of_time": 0.001, "resident_megabytes": 700.0}
+    last = {"transitions": 1_000_000, "steps_per_second": 180.0, "checkpoint_seconds": 6.0}
+    last |= {"checkpoint_share_of_time": 0.012, "resident_megabytes": 1900.0}
+    more = {"checkpoint_megabytes": 500.0, "load_seconds": 4.0}
+    pd.DataFrame([first | more, last | more]).to_csv(folder / "whole_run.csv", index=False)
+    cost.show_whole_run()
+    assert numbers(shown.texts[0]) == [200, 20_000, 180, 1_000_000, 6.0, 1.2, 1.9]
+    rows = shown.tables["tbl-whole-run"]
+    assert [list(row.values()) for row in rows] == [
+        ["20,000", "200.0", "1.0", "500.0", "0.1%", "4.0", "700.0"],
+        ["1,000,000", "180.0", "6.0", "500.0", "1.2%", "4.0", "1900.0"],
+    ]
+
+
+def test_parts_of_an_update_are_shares_of_its_time(folder, shown):
+    parts = {"part": ["update", "sampling"], "milliseconds_an_update": [15.0, 5.0]}
+    parts |= {"share": [0.75, 0.25], "share_of_peak": [0.5, np.nan]}
+    pd.DataFrame(parts).to_csv(folder / "breakdown.csv", index=False)
+    cost.show_breakdown()
+    found = [list(row.values()) for row in shown.tables["tbl-breakdown"]]
+    assert found == [["update", "15.00", "75%", "50%"], ["sampling", "5.00", "25%", "–"]]
+
+
+def test_the_share_of_an_experiment_is_of_all_its_runs_games(tmp_path):
+    store(tmp_path, "boxing_final", DQN, np.zeros(900), seed=1)
+    store(tmp_path, "boxing_final", DQN, np.zeros(300), seed=2)
+    section = Section("boxing_final", "full", str(tmp_path), seeds=[1, 2])
+    assert section.share == pytest.approx(1200 / (2 * 3 * 3000))

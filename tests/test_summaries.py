@@ -1,0 +1,275 @@
+"""The computed sentences of the report give the numbers, names and verdicts of the stored runs."""
+
+import re
+
+import numpy as np
+import pandas as pd
+import pytest
+from synthetic import AGENTS, TITLES, check, evaluate, facts, numbers, store, study, window
+
+from atari_dqn.analysis import summaries
+from atari_dqn.analysis.study import Section
+from atari_dqn.params import VALUE_GAMES
+
+DQN, DOUBLE, DUELING = AGENTS
+FAR = 5000.0  # points, of a game that must not count
+
+
+def boxing(results, means, experiment="boxing_final", first=2501, last=3000):
+    """Runs whose games from first to last have these means; other games say the opposite."""
+    for agent, mean in means.items():
+        scores = window(first, last, mean, -FAR * mean, after=0 if last == 3000 else 10)
+        store(results, experiment, agent, scores)
+    return study(results)
+
+
+@pytest.mark.parametrize(("double", "level"), [(13.0, "above"), (12.0, "below")])
+def test_the_headline_names_the_best_agent_its_mean_and_whether_that_is_human(
+    tmp_path, double, level
+):
+    text = summaries.headline(boxing(tmp_path, {DQN: 5.0, DOUBLE: double, DUELING: 11.5}))
+    said = text.split("Of 16 claims")[0]
+    assert facts(said) == [500, 3000, "Double DQN", double, 12.1, 0.1]
+    assert re.findall("above|below", said) == [level]
+    best = summaries.headline(boxing(tmp_path, {DQN: 80.0, DOUBLE: 70.0, DUELING: 90.0}))
+    assert facts(best)[2:4] == ["Dueling Double DQN", 90.0]
+
+
+def test_a_headline_of_runs_in_progress_is_about_the_last_hundred_games_that_all_have_played(
+    tmp_path,
+):
+    store(tmp_path, "boxing_final", DQN, window(701, 800, 6.0, FAR))
+    store(tmp_path, "boxing_final", DOUBLE, window(701, 800, 9.0, -FAR, after=0))
+    text = summaries.headline(study(tmp_path))
+    assert facts(text.split("Of 16")[0]) == [800, "Double DQN", 9.0, 12.1, 0.1]
+
+
+def three_true_and_one_false(results):
+    """Claims 1, 2 and 4 hold, claim 3 is false, and nothing is stored for the others."""
+    means = {DQN: 80.0, DOUBLE: 90.0, DUELING: 85.0}
+    for agent, mean in means.items():
+        store(results, "boxing_final", agent, np.full(3000, mean))
+    return study(results)
+
+
+def test_the_claims_that_are_judged_are_counted_by_verdict(tmp_path):
+    stored = three_true_and_one_false(tmp_path)
+    counted = summaries.headline(stored).split("Of 16 claims", 1)[1]
+    assert "4 are judged so far (3 supported, 1 contradicted)" in counted
+    said = summaries.conclusion(stored)
+    (true,) = re.findall(r"\*Supported\*: (.*)", said)
+    (false,) = re.findall(r"\*Contradicted\*: (.*)", said)
+    assert len(true.split("; ")) == 3
+    assert "Double DQN ends highest in Boxing" in true
+    assert false == "Dueling Double DQN is the best of the first 500 games in both games."
+    assert re.findall(r"\*(\w+)\*:", said) == ["Supported", "Contradicted"], "and none that is open"
+
+
+def test_cards_hold_the_best_score_the_human_one_the_games_stored_and_the_claims_judged(tmp_path):
+    stored = three_true_and_one_false(tmp_path)
+    store(tmp_path, "boxing_low_gamma", DUELING, np.zeros(250))
+    cards = re.findall(r"\*\*(.+?)\*\* (.*)", summaries.cards(stored))
+    assert [number for number, _ in cards] == ["90.0", "12.1", "9,250", "4 of 16"]
+    assert facts(cards[0][1]) == ["Double DQN", 500]
+    assert "human" in cards[1][1]
+    assert "games stored" in cards[2][1]
+    empty = summaries.cards(study(tmp_path / "empty"))
+    assert re.findall(r"\*\*(.+?)\*\*", empty) == ["–", "12.1", "0", "0 of 16"]
+
+
+def test_the_conclusion_gives_each_games_agents_the_best_first_and_its_human_score(tmp_path):
+    boxing(tmp_path, {DQN: 80.0, DOUBLE: 90.0, DUELING: 85.0})
+    stored = boxing(tmp_path, {DQN: 36.0, DOUBLE: 15.0, DUELING: 21.0}, "breakout_final")
+    first, second, *_ = summaries.conclusion(stored).split("\n\n")
+    ranked = ["Double DQN", 90, "Dueling Double DQN", 85, "DQN", 80]
+    assert facts(first)[:9] == [500, 3000, *ranked, 12.1]
+    ranked = ["DQN", 36, "Dueling Double DQN", 21, "Double DQN", 15]
+    assert facts(second)[:9] == [500, 3000, *ranked, 30.5]
+    assert first.startswith("In Boxing,")
+    assert second.startswith("In Breakout,")
+
+
+def test_before_an_agent_is_past_its_early_games_the_share_of_all_games_is_told(tmp_path):
+    stored = study(tmp_path)
+    planned = 0
+    for section in stored.sections.values():
+        planned += (
+            section.params.episodes
+            * len(section.params.agents)
+            * len(section.params.variations or [1])
+        )
+    store(tmp_path, "boxing_final", DQN, np.zeros(499))
+    store(tmp_path, "breakout_early", DQN, np.zeros(301))
+    assert numbers(summaries.headline(stored))[:2] == [800, planned]
+    share = numbers(summaries.conclusion(stored))[0]
+    assert share == pytest.approx(100 * 800 / planned, abs=0.051)
+
+
+def test_an_agent_is_past_its_early_games_after_five_hundred(tmp_path):
+    store(tmp_path, "boxing_final", DQN, np.full(499, 50.0))
+    store(tmp_path, "boxing_final", DOUBLE, np.full(500, 7.0))
+    text = summaries.headline(study(tmp_path))
+    assert facts(text.split("Of 16")[0]) == [500, "Double DQN", 7.0, 12.1, 0.1]
+
+
+def lines(text):
+    return [line for line in text.splitlines() if line.startswith("- ")]
+
+
+def test_a_readings_line_has_the_last_mean_the_random_share_and_the_largest_drop(tmp_path):
+    # means of 100 games rise to 10, fall by 8, and rise to 14; single scores fall by 14
+    scores = np.repeat([0.0, 10.0, 2.0, 14.0], 100) + np.tile([3.0, -3.0], 200)
+    store(tmp_path, "boxing_final", DOUBLE, scores, epsilon=np.linspace(1, 0.07, 400))
+    line = lines(summaries.reading(study(tmp_path), "boxing_final"))[0]
+    # of 100 games, the mean first passes 12.1 with 85 games about 14 and 15 about 2
+    assert facts(line) == ["Double DQN", 14.0, 100, 400, 7, 100, 12.1, 385, 8.0]
+
+
+def test_a_run_that_never_passes_the_human_score_is_not_said_to(tmp_path):
+    store(tmp_path, "boxing_final", DOUBLE, np.full(300, 12.0))
+    store(tmp_path, "breakout_final", DOUBLE, np.full(300, 13.0))
+    for experiment in ("boxing_final", "breakout_final"):
+        assert "passed" not in summaries.reading(study(tmp_path), experiment)
+    store(tmp_path, "breakout_final", DOUBLE, np.full(300, 31.0))
+    assert "human 30.5 after game 100;" in summaries.reading(study(tmp_path), "breakout_final")
+
+
+def test_a_reading_has_a_line_for_every_seed_each_of_its_own_games(tmp_path):
+    for seed, mean in ((1, 20.0), (2, 40.0)):
+        run = store(tmp_path, "boxing_final", DQN, np.full(300, mean), seed=seed)
+        check(run, np.array([1.0, 2.0, mean + 1]))
+    stored = study(tmp_path)
+    stored.sections["boxing_final"] = Section(
+        "boxing_final", "full", str(tmp_path), agents=[DQN], seeds=[1, 2]
+    )
+    first, second, *_ = lines(summaries.reading(stored, "boxing_final"))
+    assert facts(first)[:3] == ["DQN", 1, 20.0]
+    assert facts(second)[:3] == ["DQN", 2, 40.0]
+    assert facts(first)[-3:] == [VALUE_GAMES, 300, 21.0]
+    assert facts(second)[-3:] == [VALUE_GAMES, 300, 41.0]
+
+
+def test_a_reading_gives_the_claims_about_its_experiment_with_number_verdict_and_evidence(tmp_path):
+    stored = three_true_and_one_false(tmp_path)
+    said = [line for line in lines(summaries.reading(stored, "boxing_final")) if "claim" in line]
+    judged = {int(re.search(r"claim (\d+)", line)[1]): line for line in said}
+    assert sorted(judged) == [1, 2, 3, 4]
+    for number, line in judged.items():
+        assert line.startswith("- *Contradicted*" if number == 3 else "- *Supported*")
+    compared = [
+        "Double DQN",
+        90,
+        "DQN",
+        80,
+        10,
+        10,
+        "Double DQN",
+        90,
+        "Dueling Double DQN",
+        85,
+        5,
+        5,
+    ]
+    assert facts(judged[4])[-12:] == compared
+    store(tmp_path, "breakout_final", DQN, np.zeros(200))
+    waiting = lines(summaries.reading(study(tmp_path), "breakout_final"))[-1]
+    assert numbers(waiting) == [5, 6, 9], "claim 3 is false already"
+
+
+def test_the_newest_greedy_games_are_those_of_an_evaluation_not_long_ago(tmp_path):
+    """An evaluation counts until the checks along the way are more than a hundred games newer."""
+    run = store(tmp_path, "boxing_final", DQN, np.full(900, 5.0))
+    check(run, np.array([0.0, 10.0, 20.0, 30.0, 40.0]))
+    for trained, expected in ((400, [40, 400, 7.0]), (399, [VALUE_GAMES, 500, 40.0])):
+        evaluate(run, trained=trained, score=7.0)
+        line = lines(summaries.reading(study(tmp_path), "boxing_final"))[0]
+        assert facts(line)[-3:] == expected
+
+
+def test_scores_beside_the_source_reports_are_of_the_same_agent_mark_and_games(tmp_path):
+    theirs = {DQN: 81.78, DOUBLE: 90.79, DUELING: 88.13}  # its table 2, after 2,000 games
+    ours = {DQN: 82.0, DOUBLE: 91.0, DUELING: 89.0}
+    for agent, mean in ours.items():
+        store(tmp_path, "boxing_final", agent, window(1501, 2000, mean, FAR))
+    said = summaries.beside_source(study(tmp_path)["boxing_final"])
+    expected = [(TITLES[agent], ours[agent], round(theirs[agent], 1)) for agent in AGENTS]
+    games = [(*one, 1501, 2000) for one in expected]
+    assert facts(said) == [value for one in games for value in one]
+    assert "does not say" not in said
+    store(tmp_path, "boxing_final", DOUBLE, window(1501, 2000, 90.0, FAR))
+    said = summaries.beside_source(study(tmp_path)["boxing_final"])
+    assert facts(said)[5:8] == ["Double DQN", 90.0, 90.8]
+    assert numbers(said)[-1] == 4, "agent steps an update"
+
+
+def test_a_reading_tells_where_a_run_stands_and_when_it_passed_the_human_score(tmp_path):
+    curve = np.concatenate([np.linspace(0, 24.1, 200), np.full(100, 20.0)])
+    store(tmp_path, "boxing_final", "dqn", curve)
+    text = summaries.reading(study(tmp_path), "boxing_final")
+    mean = pd.Series(curve).rolling(100).mean()
+    passed = int(mean.gt(12.1).idxmax()) + 1
+    assert "DQN scores 20.0 points a game over the last 100 of 300 games, 22% of its" in text
+    assert f"first passed the human 12.1 after game {passed};" in text
+    assert "claims 1, 2, 3, 4 are still open" in text
+
+
+def test_a_reading_puts_the_source_reports_scores_beside_ours_at_the_last_common_mark(tmp_path):
+    store(tmp_path, "boxing_final", "dqn", np.full(1100, 60.0))
+    store(tmp_path, "boxing_final", "double_dqn", np.full(600, 20.0))
+    stored = study(tmp_path)
+    expected = (
+        "where both are known: DQN 60.0 and 51.6 (games 501 to 1,000), "
+        "Double DQN 20.0 and 29.0 (games 1 to 500)."
+    )
+    for text in (summaries.reading(stored, "boxing_final"), summaries.conclusion(stored)):
+        assert expected in text
+        assert "does not say how often its network was updated" in text
+    store(tmp_path, "boxing_final", "double_dqn", np.full(600, 40.0))
+    text = summaries.reading(study(tmp_path), "boxing_final")
+    assert "Double DQN 40.0 and 29.0" in text
+    assert "updated" not in text, "where ours are not below"
+
+
+def test_an_agent_that_has_just_begun_is_named_and_compared_with_nobody(tmp_path):
+    store(tmp_path, "boxing_final", "dqn", np.full(700, 5.0))
+    store(tmp_path, "boxing_final", "double_dqn", np.full(600, 9.0))
+    store(tmp_path, "boxing_final", "dueling_double_dqn", np.full(120, 50.0))
+    stored = study(tmp_path)
+    assert (
+        "After 600 games of Boxing the agent with the most points so far, Double DQN, scores 9.0"
+        in (summaries.headline(stored))
+    )
+    assert "Double DQN 9.0, DQN 5.0" in summaries.conclusion(stored)
+    assert "Dueling Double DQN has played 120 games only" in summaries.conclusion(stored)
+
+
+def test_a_second_seed_that_has_just_begun_takes_nothing_from_the_first(tmp_path):
+    store(tmp_path, "boxing_final", "dqn", np.full(700, 5.0))
+    stored = study(tmp_path)
+    section = stored["boxing_final"]
+    second = section.episodes.head(120).assign(seed=2, score=90.0)
+    section.__dict__["episodes"] = pd.concat([section.episodes, second])
+    assert "After 700 games of Boxing DQN scores 5.0 points a game" in summaries.headline(stored)
+
+
+def test_finished_runs_are_told_of_as_finished(tmp_path):
+    for agent, mean in (("dqn", 80.0), ("double_dqn", 90.0), ("dueling_double_dqn", 85.0)):
+        run = store(tmp_path, "boxing_final", agent, np.full(3000, mean))
+        evaluate(run, score=mean)
+    stored = study(tmp_path)
+    headline = summaries.headline(stored)
+    assert (
+        "over the last 500 of 3,000 training games is that of Double DQN, 90.0 points" in headline
+    )
+    reading = summaries.reading(stored, "boxing_final")
+    scored = pd.read_csv(run.folder / "evaluations.csv").score.mean()
+    said = f"Playing 40 games greedily after 3,000 of training, it scored {scored:.1f}"
+    assert said in reading
+    assert "so far" not in headline.split("Of 16 claims")[0] + reading
+
+
+def test_at_another_difficulty_no_human_score_is_passed(tmp_path):
+    store(tmp_path, "boxing_expert", "dqn", np.full(600, 60.0))
+    text = summaries.reading(study(tmp_path), "boxing_expert")
+    assert "DQN scores 60.0" in text
+    assert "human" not in text

@@ -1,0 +1,87 @@
+"""Which run and game a film is of, and that its caption says so; nothing is filmed here."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from synthetic import AGENTS, evaluate, facts, numbers, store, study
+
+from atari_dqn.report import videos
+
+DQN, DOUBLE, DUELING = AGENTS
+
+
+@pytest.fixture
+def filmed(monkeypatch):
+    """Stands in for models and cameras: what is filmed, and under which caption. A run has models
+    of 100 games, and of all its games."""
+    seen = SimpleNamespace(captions={}, data={}, played=None, contestants=None, seconds=None)
+    monkeypatch.setattr(
+        videos.models, "stored", lambda run: {100: "", run.status()["episodes_done"]: ""}
+    )
+    monkeypatch.setattr(videos, "_network", lambda run, games: (run.agent, games))
+
+    def play_with_instruments(network, params, title, seed, game, seconds=(None, None)):
+        seen.played = {"network": network, "title": title, "game": game, "seconds": seconds}
+        return SimpleNamespace(games=[SimpleNamespace(score=-7.0)])
+
+    def side_by_side(contestants, seed, game, seconds):
+        seen.seconds = seconds
+        seen.contestants = {title: network for title, (network, _) in contestants.items()}
+        scores = range(10, 10 + len(contestants))
+        return SimpleNamespace(games=[SimpleNamespace(score=float(score)) for score in scores])
+
+    def show_film(film, label, caption, alt, data):
+        seen.captions[label], seen.data[label] = caption, data
+
+    monkeypatch.setattr(videos.video, "play_with_instruments", play_with_instruments)
+    monkeypatch.setattr(videos.video, "side_by_side", side_by_side)
+    monkeypatch.setattr(videos, "show_film", show_film)
+    return seen
+
+
+def test_the_best_is_the_run_that_scored_most_in_its_last_hundred_games(tmp_path, filmed):
+    store(tmp_path, "boxing_final", DQN, np.repeat([99.0, 5.0], [600, 100]))
+    store(tmp_path, "boxing_final", DOUBLE, np.repeat([0.0, 9.0], [600, 100]))
+    store(tmp_path, "boxing_final", DUELING, np.repeat([9.0, -50.0], [699, 51]))
+    videos.show_best(study(tmp_path)["boxing_final"], "vid-best", seconds=20)
+    assert filmed.played["network"] == (DOUBLE, 700)
+    assert filmed.played["seconds"] == (None, 20)
+    assert facts(filmed.played["title"]) == ["Double DQN", 700]
+    caption = filmed.captions["vid-best"]
+    assert numbers(caption) == [700, 20, -7]
+    assert caption.startswith("Double DQN after")
+
+
+def test_early_and_late_are_the_same_runs_first_model_and_its_last(tmp_path, filmed):
+    store(tmp_path, "boxing_final", DQN, np.zeros(299))  # not long enough between the two
+    store(tmp_path, "boxing_final", DOUBLE, np.zeros(300))
+    videos.show_early_and_late(study(tmp_path)["boxing_final"], "vid-early-late")
+    assert list(filmed.contestants.values()) == [(DOUBLE, 100), (DOUBLE, 300)]
+    assert [numbers(title) for title in filmed.contestants] == [[100], [300]]
+    assert filmed.seconds == (None, 30)
+    assert facts(filmed.captions["vid-early-late"]) == ["Double DQN", 100, 300, 30, 10, 11]
+
+
+def test_side_by_side_each_agent_has_its_own_name_and_newest_model(tmp_path, filmed):
+    for agent, games in ((DUELING, 400), (DQN, 200), (DOUBLE, 300)):
+        store(tmp_path, "boxing_final", agent, np.zeros(games))
+    videos.show_side_by_side(study(tmp_path)["boxing_final"], "vid-side-by-side")
+    assert filmed.contestants == {
+        "DQN, 200": (DQN, 200),
+        "Double DQN, 300": (DOUBLE, 300),
+        "Dueling Double DQN, 400": (DUELING, 400),
+    }
+    assert filmed.seconds == (None, 30)
+    assert numbers(filmed.captions["vid-side-by-side"]) == [30, 10, 11, 12]
+
+
+def test_a_knock_out_is_one_that_the_agent_gives(tmp_path, filmed):
+    for agent, knocked in ((DQN, [-1, 0, 0, 0]), (DOUBLE, [-1, 0, 1, 1])):
+        run = store(tmp_path, "boxing_final", agent, np.zeros(700))
+        evaluate(run, games=4, trained=700, knockout=knocked)
+    videos.show_knockout(study(tmp_path)["boxing_final"], "vid-knockout")
+    assert filmed.played["network"] == (DOUBLE, 700)
+    assert filmed.played["game"] == 2
+    assert filmed.played["seconds"] == (-15, None)
+    assert facts(filmed.captions["vid-knockout"]) == ["Double DQN", 700, 15, 2, -7]
