@@ -62,7 +62,7 @@ def test_imports_are_those_of_the_sources():
     assert "runs.records" in imports["runs.audit"]  # from atari_dqn.runs import ...
     assert "evaluation" in imports["runs.audit"]  # from atari_dqn import ...
     assert "runs.cluster" in imports["__main__"]  # within a function
-    assert imports["params"] == set()
+    assert imports["games"] == set()
     assert "training" not in imports["agents"]
 
 

@@ -401,9 +401,9 @@ def test_several_processes_may_build_it_at_once(tmp_path):
     code = "from atari_dqn import native; native.FLAGS += ('-O0',); print(native.compiled())"
     started = [
         subprocess.Popen([sys.executable, "-c", code], env=environment, stdout=subprocess.PIPE)
-        for _ in range(3)
+        for _ in range(2)
     ]
     printed = {process.communicate()[0] for process in started}
-    assert [process.returncode for process in started] == [0, 0, 0]
+    assert [process.returncode for process in started] == [0, 0]
     (path,) = printed
     assert list((tmp_path / "atari_dqn" / "native").iterdir()) == [Path(path.decode().strip())]

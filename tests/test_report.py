@@ -135,7 +135,9 @@ def test_figures_say_where_they_come_from_and_curves_show_their_values(built):
 def test_a_section_is_executed_again_only_if_something_of_its_own_changed(built):
     notebooks = built.parent / "notebooks"
     before = {path.name: path.stat().st_mtime_ns for path in notebooks.glob("*.ipynb")}
-    results = built.parent / "runs" / "boxing_expert" / "dqn" / "seed-1" / "episodes.csv"
+    results = (
+        built.parent / "runs" / "boxing_expert" / "dueling_double_dqn" / "seed-1" / "episodes.csv"
+    )
     header, first, *rest = results.read_text().splitlines(keepends=True)
     cells = first.split(",")
     cells[3] = "857"  # the score
@@ -186,7 +188,7 @@ def test_a_failing_section_is_named_and_the_last_report_stays(built, monkeypatch
     shutil.copytree(ROOT / "params", tmp_path / "params")
     shutil.copy(ROOT / "pyproject.toml", tmp_path)
     broken = tmp_path / "notebooks" / "08_boxing_expert.ipynb"
-    broken.write_text(broken.read_text().replace("section.badge()", "section.no_such_thing()"))
+    broken.write_text(broken.read_text().replace("show_badge(section)", "no_such_thing(section)"))
     monkeypatch.chdir(tmp_path)
     with pytest.raises(RunError, match=r"08_boxing_expert\.ipynb, cell 3: AttributeError"):
         build.build("smoke", built.parent)

@@ -16,12 +16,12 @@ from atari_dqn.agents import AGENTS
 from atari_dqn.envs import SIZE, GameRecord, game_of, interleave, learned_reward
 from atari_dqn.native import new_learner
 from atari_dqn.params import HELD_OUT_STATES, VALUE_GAMES, Parameters
+from atari_dqn.params import VALUES_PERIOD as VALUES_PERIOD  # read by those who write the checks
 from atari_dqn.schedules import epsilon_greedy
 
 Player = Callable[[np.ndarray], np.ndarray]
 
 EMULATORS = 8  # games played at once
-VALUES_PERIOD = 100  # training games between rows of values.csv
 EVALUATION = 99  # sets the random streams of evaluation apart from those of training
 BATCH = 8  # observations a forward pass; fixed, since the last bits of Q depend on it
 

@@ -36,6 +36,7 @@ Profile = Literal["full", "quick", "smoke"]
 PROFILES: tuple[str, ...] = get_args(Profile)
 
 # The protocol of the checks of values while training, which no file changes
+VALUES_PERIOD = 100  # training games between two
 VALUE_GAMES = 20  # greedy games behind each
 HELD_OUT_STATES = 512  # of random play, whose values are followed too
 

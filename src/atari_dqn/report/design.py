@@ -91,9 +91,7 @@ def exploration_text(p: Parameters) -> str:
     )
 
 
-GAME_FRAMES = (
-    7130  # of a full game of Boxing: two minutes of its clock, at about 60 frames a second
-)
+GAME_FRAMES = 7141  # of a full game of Boxing: two minutes of its clock, at 60 frames a second
 
 
 def units(p: Parameters) -> pd.DataFrame:

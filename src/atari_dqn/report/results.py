@@ -9,8 +9,7 @@ import pandas as pd
 from atari_dqn import params
 from atari_dqn.analysis.statistics import MARKS, interval, scores_at_marks, with_interval
 from atari_dqn.analysis.study import Section, data
-from atari_dqn.evaluation import VALUES_PERIOD
-from atari_dqn.params import HELD_OUT_STATES, VALUE_GAMES
+from atari_dqn.params import HELD_OUT_STATES, VALUE_GAMES, VALUES_PERIOD
 from atari_dqn.report import plots
 from atari_dqn.report.outputs import hold_places, show_absent, show_figure, show_table, show_text
 
