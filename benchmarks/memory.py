@@ -18,7 +18,7 @@ import numpy as np
 import pandas as pd
 import psutil
 
-from atari_dqn.envs import LockstepGames
+from atari_dqn.envs import VectorEnv
 from atari_dqn.games import GAMES
 from atari_dqn.params import Parameters
 from atari_dqn.replay import ReplayMemory
@@ -34,7 +34,7 @@ def fill(game: str, transitions: int) -> list[dict[str, object]]:
     parameters = Parameters(experiment="memory", game=game, replay_capacity=transitions)
     seeds = np.random.SeedSequence(0).spawn(2)
     process = psutil.Process()
-    games = LockstepGames(parameters, seeds[0])
+    games = VectorEnv(parameters, seeds[0])
     before = process.memory_info().rss
     memory = ReplayMemory(transitions, parameters.environments, parameters.frame_stack, seeds[1])
     idle = np.zeros(parameters.environments)

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib import pyplot as plt
 
 from atari_dqn import evaluation, params
-from atari_dqn.envs import AtariGame
+from atari_dqn.envs import AtariEnv
 from atari_dqn.evaluation import q_of
 from atari_dqn.report import plots
 from atari_dqn.runs.models import load_model
@@ -22,7 +22,7 @@ def main(folder: Path, model: str) -> None:
     values = params.read_values(folder / "params.yaml")
     parameters = params.parse(values, str(folder / "params.yaml"))
     network = load_model(folder / model, parameters)
-    game = evaluation.game_of(parameters)
+    game = evaluation.make_env(parameters)
     images = [game.reset(seed=1)[0].reshape(-1)] * parameters.frame_stack
     for _ in range(STEPS):
         action = q_of(network, np.stack(images)[:, None])[0].argmax()
@@ -30,7 +30,7 @@ def main(folder: Path, model: str) -> None:
     draw(game, np.stack(images), q_of(network, np.stack(images)[:, None])[0])
 
 
-def draw(game: AtariGame, images: np.ndarray, q_values: np.ndarray) -> None:
+def draw(game: AtariEnv, images: np.ndarray, q_values: np.ndarray) -> None:
     """The television's picture, the observation (images [4, 84*84]) and the Q-values [A]."""
     plots.style()
     plt.rcParams["figure.autolayout"] = False

@@ -566,7 +566,7 @@ def test_of_three_seeds_a_mean_has_students_interval_over_seeds(three_seeds):
 def test_of_three_seeds_greedy_games_are_compared_as_seeds(three_seeds):
     one, other = [60.0, 80.0, 100.0], [20.0, 24.0, 28.0]  # points in two minutes
     stored = three_seeds(boxing_low_gamma=one, boxing_final=other)
-    (found,) = verdicts.greedy(stored, "boxing_low_gamma", FINAL, "conceded_a_minute")
+    (found,) = verdicts.compare_evaluations(stored, "boxing_low_gamma", FINAL, "conceded_a_minute")
     welch = stats.ttest_ind(np.divide(one, 2), np.divide(other, 2), equal_var=False)
     low, high = welch.confidence_interval()
     assert numbers(found.evidence) == pytest.approx([40, 12, low, high], abs=0.06)
@@ -780,10 +780,10 @@ def test_three_seeds_a_side_are_compared_as_seeds(tmp_path):
         }
     )
     pair = (section, section)
-    found = verdicts.better(pair, ("double_dqn", "dqn"), 1, 150)
+    found = verdicts.compare_scores(pair, ("double_dqn", "dqn"), 1, 150)
     welch = stats.ttest_ind([25, 35, 45], [10, 20, 30], equal_var=False).confidence_interval()
     assert found.verdict == verdicts.NOT_YET, "one seed is planned"
     section.params = section.params.model_copy(update={"seeds": [1, 2, 3]})
-    found = verdicts.better(pair, ("double_dqn", "dqn"), 1, 150)
+    found = verdicts.compare_scores(pair, ("double_dqn", "dqn"), 1, 150)
     assert found.verdict == verdicts.INCONCLUSIVE, "though every block of games is above"
     assert f"difference {welch.low:.1f} to {welch.high:.1f}" in found.evidence

@@ -36,10 +36,10 @@ Nothing yet.
 :::
 
 `````{{=html}}
-<figure id="vid-film"></figure>
+<figure id="vid-any"></figure>
 `````
 
-Compare @vid-film with @fig-later.
+Compare @vid-any with @fig-later.
 """
 
 
@@ -47,7 +47,7 @@ def test_references_become_links_with_numbers_in_the_order_of_the_text():
     text = crossrefs.finish(TEXT)
     for link in (
         "[Figure\N{NO-BREAK SPACE}1](#fig-one){.ref}",
-        "[Figure\N{NO-BREAK SPACE}2](#vid-film){.ref}",
+        "[Figure\N{NO-BREAK SPACE}2](#vid-any){.ref}",
         "[Table\N{NO-BREAK SPACE}1](#tbl-one){.ref}",
         "[Equation\N{NO-BREAK SPACE}1](#eq-one){.ref}",
         "[Section\N{NO-BREAK SPACE}2.1](#sec-second-part){.ref}",

@@ -9,7 +9,7 @@ from torch import nn
 
 from atari_dqn import params
 from atari_dqn.analysis import study
-from atari_dqn.envs import AtariGame
+from atari_dqn.envs import AtariEnv
 from atari_dqn.params import Parameters
 from atari_dqn.report import design
 from atari_dqn.runs import plan
@@ -80,7 +80,7 @@ def test_units_follow_from_the_frames_of_a_full_game():
 
 def test_a_full_game_of_boxing_has_about_as_many_frames_as_is_said():
     """Two boxers of whom one never moves: nobody is knocked out."""
-    game = AtariGame("boxing")
+    game = AtariEnv("boxing")
     game.reset(seed=1)
     over = False
     while not over:

@@ -7,7 +7,7 @@ import pytest
 from gymnasium.wrappers import AtariPreprocessing, FrameStackObservation
 
 from atari_dqn import envs
-from atari_dqn.envs import FIRE, AtariGame, LockstepGames
+from atari_dqn.envs import FIRE, AtariEnv, VectorEnv
 from atari_dqn.games import GAMES
 
 gymnasium.register_envs(ale_py)
@@ -25,7 +25,7 @@ def gymnasium_game(game, frame_skip=4, noop_max=30, difficulty=0):
 @pytest.mark.parametrize(("difficulty", "frame_skip"), [(0, 4), (3, 4), (1, 1), (2, 2)])
 def test_boxing_is_pixel_for_pixel_that_of_gymnasiums_wrappers(difficulty, frame_skip):
     oracle = gymnasium_game("boxing", frame_skip, difficulty=difficulty)
-    game = AtariGame("boxing", difficulty=difficulty, frame_skip=frame_skip)
+    game = AtariEnv("boxing", difficulty=difficulty, frame_skip=frame_skip)
     actions = np.random.default_rng(0).integers(18, size=300)
     expected, _ = oracle.reset(seed=5)
     image, _ = game.reset(seed=5)
@@ -38,7 +38,7 @@ def test_boxing_is_pixel_for_pixel_that_of_gymnasiums_wrappers(difficulty, frame
 
 
 def test_a_whole_boxing_game_has_the_score_and_the_end_that_gymnasium_sees():
-    oracle, game = gymnasium_game("boxing"), AtariGame("boxing")
+    oracle, game = gymnasium_game("boxing"), AtariEnv("boxing")
     oracle.reset(seed=1)
     game.reset(seed=1)
     rng, total, ended = np.random.default_rng(0), 0.0, False
@@ -52,7 +52,7 @@ def test_a_whole_boxing_game_has_the_score_and_the_end_that_gymnasium_sees():
 
 
 def test_breakout_is_served_at_the_start_and_after_every_lost_life_and_else_untouched():
-    oracle, game = gymnasium_game("breakout", noop_max=0), AtariGame("breakout", noop_max=0)
+    oracle, game = gymnasium_game("breakout", noop_max=0), AtariEnv("breakout", noop_max=0)
     oracle.reset(seed=2)
     game.reset(seed=2)
     *_, info = oracle.step(FIRE)
@@ -77,7 +77,7 @@ def test_breakout_is_served_at_the_start_and_after_every_lost_life_and_else_unto
 
 
 def test_a_breakout_agent_that_does_nothing_loses_all_lives_and_does_not_stall():
-    game = AtariGame("breakout")
+    game = AtariEnv("breakout")
     game.reset(seed=0)
     for _ in range(2000):
         if game.step(0)[2]:
@@ -87,8 +87,8 @@ def test_a_breakout_agent_that_does_nothing_loses_all_lives_and_does_not_stall()
 
 @pytest.mark.parametrize("game", ["boxing", "breakout", "pong"])
 def test_observations_are_gymnasiums_frame_stack_across_games(game, small):
-    lockstep = LockstepGames(small(game=game, max_game_frames=300), np.random.SeedSequence(3))
-    alone = AtariGame(game, max_game_frames=300)
+    lockstep = VectorEnv(small(game=game, max_game_frames=300), np.random.SeedSequence(3))
+    alone = AtariEnv(game, max_game_frames=300)
     oracle = FrameStackObservation(alone, 4)
     seed = int(np.random.SeedSequence(3).generate_state(2)[0])
     expected, _ = oracle.reset(seed=seed)
@@ -113,7 +113,7 @@ def test_observations_are_gymnasiums_frame_stack_across_games(game, small):
 
 @pytest.mark.parametrize(("clip", "expected"), [(True, [1, -1]), (False, [2, -3])])
 def test_rewards_are_clipped_for_learning_and_raw_in_the_score(small, monkeypatch, clip, expected):
-    lockstep = LockstepGames(small(clip_rewards=clip), np.random.SeedSequence(0))
+    lockstep = VectorEnv(small(clip_rewards=clip), np.random.SeedSequence(0))
     for game, points in zip(lockstep.games, (2, -3), strict=True):
         monkeypatch.setattr(game, "frame_skip", 1)
         monkeypatch.setattr(game, "ale", _Rewarding(game.ale, points))
@@ -139,7 +139,7 @@ class _Rewarding:
 
 def test_a_lost_life_costs_its_penalty_and_does_not_end_the_game(small):
     parameters = small(game="breakout", max_game_frames=10_000, life_loss_penalty=1.0)
-    lockstep = LockstepGames(parameters, np.random.SeedSequence(0))
+    lockstep = VectorEnv(parameters, np.random.SeedSequence(0))
     rewards, games = [], 0
     while not games:
         step = lockstep.step(np.zeros(2, int))
@@ -150,7 +150,7 @@ def test_a_lost_life_costs_its_penalty_and_does_not_end_the_game(small):
 
 
 def test_a_game_cut_by_its_frame_limit_is_not_terminated(small):
-    lockstep = LockstepGames(small(), np.random.SeedSequence(0))
+    lockstep = VectorEnv(small(), np.random.SeedSequence(0))
     finished = []
     while not finished:
         step = lockstep.step(np.zeros(2, int))
@@ -163,7 +163,7 @@ def test_a_game_cut_by_its_frame_limit_is_not_terminated(small):
 @pytest.mark.parametrize("sticky", [0.0, 0.25])
 def test_a_restored_game_goes_on_exactly_as_the_saved_one(game, difficulty, sticky):
     def new():
-        return AtariGame(game, difficulty=difficulty, sticky_actions=sticky, max_game_frames=900)
+        return AtariEnv(game, difficulty=difficulty, sticky_actions=sticky, max_game_frames=900)
 
     def play(env, actions):
         trace = []
@@ -188,7 +188,7 @@ def test_a_restored_game_goes_on_exactly_as_the_saved_one(game, difficulty, stic
     ("cell", "knockout"), [(AGENTS_SCORE, 1), (RIVALS_SCORE, -1)], ids=["given", "received"]
 )
 def test_the_hundredth_point_is_a_knockout_for_whoever_scores_it(cell, knockout):
-    game = AtariGame("boxing")
+    game = AtariEnv("boxing")
     game.reset(seed=0)
     assert game.knockout() == 0
     game.ale.setRAM(cell, 0x99)
@@ -202,7 +202,7 @@ def test_the_hundredth_point_is_a_knockout_for_whoever_scores_it(cell, knockout)
 
 
 def test_a_breakout_game_knows_no_knockout():
-    game = AtariGame("breakout")
+    game = AtariEnv("breakout")
     game.reset(seed=0)
     for cell in (AGENTS_SCORE, RIVALS_SCORE):
         game.ale.setRAM(cell, 0xC0)
@@ -213,7 +213,7 @@ def test_the_difficulty_switches_slow_the_agent_and_its_rival():
     """Pixels moved in 24 frames of DOWN: the agent is slowed by bit 0."""
     moved = {}
     for difficulty in range(4):
-        game = AtariGame("boxing", difficulty=difficulty, noop_max=0)
+        game = AtariEnv("boxing", difficulty=difficulty, noop_max=0)
         game.reset(seed=0)
         start = int(game.ram()[34])
         for _ in range(6):
@@ -223,7 +223,7 @@ def test_the_difficulty_switches_slow_the_agent_and_its_rival():
 
 
 def test_sticky_actions_repeat_the_last_executed_action_frame_by_frame(monkeypatch):
-    game = AtariGame("boxing", sticky_actions=0.25, noop_max=0)
+    game = AtariEnv("boxing", sticky_actions=0.25, noop_max=0)
     game.reset(seed=0)
     executed, emulator = [], game.ale
     monkeypatch.setattr(game, "ale", _Recording(emulator, executed))
@@ -264,23 +264,23 @@ def test_a_used_emulator_plays_as_a_new_one_does():
         return game.score, game.ram().tobytes(), np.stack(images).tobytes()
 
     envs._LEFT.clear()
-    expected = play(AtariGame("boxing"))
+    expected = play(AtariEnv("boxing"))
     envs._LEFT.clear()
-    used = AtariGame("boxing", difficulty=3, sticky_actions=0.5)
+    used = AtariEnv("boxing", difficulty=3, sticky_actions=0.5)
     emulator = used.ale
     assert play(used) != expected
     emulator.setRAM(AGENTS_SCORE, 0x42)
     del used
-    game = AtariGame("boxing")
+    game = AtariEnv("boxing")
     assert game.ale is emulator
     assert play(game) == expected
-    assert AtariGame("boxing").ale is not emulator, "which is in use"
+    assert AtariEnv("boxing").ale is not emulator, "which is in use"
 
 
 def test_every_game_begins_alike_however_many_were_played_before():
     """Left to itself, the emulator draws the console's timer at every reset, and a game of Boxing
     in fifteen begins a frame later."""
-    game = AtariGame("boxing", noop_max=0)
+    game = AtariEnv("boxing", noop_max=0)
     beginnings = {(game.reset()[0].tobytes(), game.ram().tobytes()) for _ in range(60)}
     assert len(beginnings) == 1
     left_to_itself = set()
@@ -292,9 +292,9 @@ def test_every_game_begins_alike_however_many_were_played_before():
 
 @pytest.mark.parametrize("game", ["alien", "amidar", "boxing", "breakout", "pong", "time_pilot"])
 def test_the_difficulties_of_a_game_are_the_emulators(game):
-    assert list(GAMES[game].difficulties) == AtariGame(game).ale.getAvailableDifficulties()
+    assert list(GAMES[game].difficulties) == AtariEnv(game).ale.getAvailableDifficulties()
 
 
 def test_an_unknown_difficulty_is_refused():
     with pytest.raises(ValueError, match="breakout has no difficulty 3"):
-        AtariGame("breakout", difficulty=3)
+        AtariEnv("breakout", difficulty=3)

@@ -4,7 +4,7 @@ import pytest
 
 from atari_dqn import evaluation
 from atari_dqn.agents import AGENTS
-from atari_dqn.envs import AtariGame, game_of
+from atari_dqn.envs import AtariEnv, make_env
 from atari_dqn.evaluation import (
     PLAYED_COLUMNS,
     check_values,
@@ -46,7 +46,7 @@ def test_realised_values_are_the_discounted_clipped_returns_of_the_games_played(
     assert (check.episode, check.held_out_q, check.predicted) == (100, 7.0, 7.0)
     returns, scores = [], []
     for number in range(evaluation.VALUE_GAMES):
-        table = evaluation.Table(parameters)
+        table = evaluation.EpisodeInProgress(parameters)
         table.start(evaluation.VALUE_GAMES * 100 + number, seed=1)
         rewards, ended = [], False
         while not ended:
@@ -100,7 +100,7 @@ def test_values_are_checked_with_the_exploration_of_an_evaluation(small, monkeyp
 
 def test_rewards_of_evaluation_games_are_less_for_a_lost_life_too(small):
     parameters = small(game="breakout", life_loss_penalty=0.75, max_game_frames=1000)
-    table = evaluation.Table(parameters)
+    table = evaluation.EpisodeInProgress(parameters)
     table.start(0, seed=1)
     while table.emulator.lives == 5:
         table.step(0)
@@ -119,7 +119,7 @@ def test_a_player_sees_the_last_images_the_oldest_first_and_none_of_the_game_bef
 
     wanted = []
     for game in play(player, parameters, 2, seed=1):
-        emulator, actions = game_of(parameters), game.record.actions
+        emulator, actions = make_env(parameters), game.record.actions
         first, _ = emulator.reset(options={"record": game.record})
         images = [first] * 4 + [emulator.step(action)[0] for action in actions]
         wanted += [np.stack(images[at : at + 4], axis=-1) for at in range(len(actions))]
@@ -140,10 +140,10 @@ def test_evaluation_is_played_on_an_emulator_of_the_difficulty_and_stickiness_na
 
 @pytest.mark.parametrize(("game", "enough"), [("boxing", 1), ("breakout", 864)])
 def test_a_game_is_described_by_what_its_emulator_says_at_its_end(small, monkeypatch, game, enough):
-    monkeypatch.setattr(AtariGame, "knockout", lambda self: -1)
-    monkeypatch.setattr(AtariGame, "points", lambda self: (8.0, 9.0))
+    monkeypatch.setattr(AtariEnv, "knockout", lambda self: -1)
+    monkeypatch.setattr(AtariEnv, "points", lambda self: (8.0, 9.0))
     settings = {"difficulty": 1, "sticky_actions": 0.5, "evaluation_epsilon": 0.25}
-    table = evaluation.Table(small(game=game, **settings))
+    table = evaluation.EpisodeInProgress(small(game=game, **settings))
     table.start(5, seed=6)
     table.emulator.length, table.emulator.frames, table.distances = 11, 12, [1.0, 2.0]
     for score, won in ((enough - 1, False), (enough, True)):

@@ -1,7 +1,7 @@
 import pandas as pd
 import pytest
 
-from atari_dqn.envs import FIRE, AtariGame
+from atari_dqn.envs import FIRE, AtariEnv
 from atari_dqn.games import boxing_points
 from atari_dqn.report import ram
 from atari_dqn.report.ram import BOXERS
@@ -16,7 +16,7 @@ def test_a_score_is_two_decimal_digits_or_a_knockout():
 @pytest.fixture
 def game():
     """A game of Boxing, frame by frame, a moment after the bell."""
-    game = AtariGame("boxing", frame_skip=1, noop_max=0)
+    game = AtariEnv("boxing", frame_skip=1, noop_max=0)
     game.reset(seed=1)
     for _ in range(20):
         game.step(NOOP)
@@ -49,12 +49,12 @@ def test_boxers_held_in_place_score_two_from_near_and_one_from_far(game, distanc
 def test_the_punches_of_a_game_add_up_to_its_score(monkeypatch):
     games = []
 
-    class Recorded(AtariGame):
+    class Recorded(AtariEnv):
         def __init__(self, *arguments, **settings):
             super().__init__(*arguments, **settings)
             games.append(self)
 
-    monkeypatch.setattr(ram, "AtariGame", Recorded)
+    monkeypatch.setattr(ram, "AtariEnv", Recorded)
     found = list(ram.scoring_punches(games=1))
     punches = pd.DataFrame([punch for punch, _ in found])
     totals = punches.groupby("boxer").points.sum()

@@ -10,7 +10,7 @@ import pytest
 from conftest import SMALL
 
 from atari_dqn import __main__, evaluation
-from atari_dqn.envs import AtariGame, GameRecord, game_of
+from atari_dqn.envs import AtariEnv, EpisodeRecord, make_env
 from atari_dqn.params import Parameters
 from atari_dqn.runs import evaluations, recorder, records
 from atari_dqn.runs.audit import Difference, verify
@@ -25,7 +25,7 @@ def test_a_recorded_game_is_the_same_in_another_emulator_frame_for_frame(
 ):
     """Also the third game of an emulator, with another seed and in the middle of its chance."""
     parameters = small(game=game, difficulty=difficulty, sticky_actions=sticky, max_game_frames=900)
-    played, rng = game_of(parameters), np.random.default_rng(0)
+    played, rng = make_env(parameters), np.random.default_rng(0)
     played.reset(seed=7)
     for _ in range(3):
         before = played.reset()[0]
@@ -34,7 +34,7 @@ def test_a_recorded_game_is_the_same_in_another_emulator_frame_for_frame(
             image, *_ = result = played.step(int(rng.integers(len(played.actions))))
             ended = result[2] or result[3]
             seen.append((image.tobytes(), played.ram().tobytes()))
-    other = game_of(parameters)
+    other = make_env(parameters)
     other.reset(seed=99)
     image, _ = other.reset(options={"record": played.played()})
     again = [(image.tobytes(), other.ram().tobytes())]
@@ -49,7 +49,7 @@ def test_a_recorded_game_is_the_same_in_another_emulator_frame_for_frame(
 
 def test_a_game_goes_on_its_record_through_a_stop(small):
     parameters = small(sticky_actions=0.25)
-    game, resumed = game_of(parameters), game_of(parameters)
+    game, resumed = make_env(parameters), make_env(parameters)
     game.reset(seed=1)
     for action in (1, 5, 3):
         game.step(action)
@@ -62,9 +62,9 @@ def test_a_game_goes_on_its_record_through_a_stop(small):
 
 RNG = np.random.default_rng(3).bit_generator.state
 SOME = [
-    ({"kind": "training", "episode": 1}, GameRecord(5, bytes([0, 17, 3]), None)),
-    ({"kind": "training", "episode": 2}, GameRecord(30, bytes(range(18)) * 9, RNG)),
-    ({"kind": "values", "episode": 2, "game": 40}, GameRecord(1, b"", None)),
+    ({"kind": "training", "episode": 1}, EpisodeRecord(5, bytes([0, 17, 3]), None)),
+    ({"kind": "training", "episode": 2}, EpisodeRecord(30, bytes(range(18)) * 9, RNG)),
+    ({"kind": "values", "episode": 2, "game": 40}, EpisodeRecord(1, b"", None)),
 ]
 HERE = Path("here")
 
@@ -105,7 +105,7 @@ def test_a_game_of_no_kind_is_damage(heading):
 
 
 def test_evaluations_come_last_and_take_the_place_of_the_same_games():
-    old, new = GameRecord(2, bytes([4]), None), GameRecord(3, bytes([5]), None)
+    old, new = EpisodeRecord(2, bytes([4]), None), EpisodeRecord(3, bytes([5]), None)
     before = [(evaluated(10), old), (evaluated(1), old), *SOME]
     data = records.with_evaluations(before, [(evaluated(1), new), (evaluated(0, 3), new)])
     assert list(records.read(data, HERE)) == [
@@ -343,7 +343,7 @@ def test_a_damaged_table_is_named(run, what):
 def test_records_that_lack_their_chance_are_refused(small):
     for sticky, rng in ((0.25, None), (0.0, RNG)):
         with pytest.raises(RecordError, match=f"sticky_actions is {sticky}"):
-            list(records.replay(small(sticky_actions=sticky), GameRecord(1, b"", rng)))
+            list(records.replay(small(sticky_actions=sticky), EpisodeRecord(1, b"", rng)))
 
 
 def test_an_evaluation_is_not_played_for_a_damaged_file(run, monkeypatch):
@@ -408,7 +408,7 @@ def test_a_run_that_comes_back_from_its_checkpoint_verifies(tmp_path, small):
 
 def test_an_action_that_the_cartridge_lacks_is_refused(small):
     with pytest.raises(RecordError, match="breakout has no action 9"):
-        list(records.replay(small(game="breakout"), GameRecord(1, bytes([2, 9]), None)))
+        list(records.replay(small(game="breakout"), EpisodeRecord(1, bytes([2, 9]), None)))
 
 
 @pytest.fixture
@@ -424,13 +424,13 @@ def command(monkeypatch, capsys):
     return call
 
 
-def test_the_command_line_verifies_replays_and_films(run, tmp_path, command):
-    film = tmp_path / "game.mp4"
-    code, said, _ = command("replay", run, "--episode", 2, "--video", film)
+def test_the_command_line_verifies_replays_and_makes_videos(run, tmp_path, command):
+    video = tmp_path / "game.mp4"
+    code, said, _ = command("replay", run, "--episode", 2, "--video", video)
     assert code == 0
     row = pd.read_csv(run / "episodes.csv").loc[1]
     assert f"game 2: {row.score:g} points, {row.length:.0f} agent steps" in said
-    assert film.read_bytes()[4:8] == b"ftyp"
+    assert video.read_bytes()[4:8] == b"ftyp"
     code, said, _ = command("verify", run, run)
     assert code == 0
     assert said == f"{run}: 9 games played again, all as the tables say\n" * 2
@@ -450,7 +450,7 @@ def test_the_records_of_a_long_run_are_small():
 
     def game(number):
         actions = bytes(rng.integers(18, size=1785).tolist())
-        return {"kind": "training", "episode": number}, GameRecord(17, actions, None)
+        return {"kind": "training", "episode": number}, EpisodeRecord(17, actions, None)
 
     data = records.with_evaluations([game(number) for number in range(1, 201)], [])
     assert len(data) / 200 * 3000 < 3e6
@@ -459,7 +459,7 @@ def test_the_records_of_a_long_run_are_small():
 
 
 def test_an_unplayed_game_has_an_empty_record():
-    game = AtariGame("boxing")
+    game = AtariEnv("boxing")
     game.reset(seed=0)
     assert game.played().actions == b""
     assert 1 <= game.played().idle_frames <= 30

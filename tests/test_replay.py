@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from atari_dqn import replay
-from atari_dqn.replay import PIXELS, FrameCodec, ReplayMemory
+from atari_dqn.replay import PIXELS, ImageCodec, ReplayMemory
 
 
 @pytest.fixture(autouse=True)
@@ -158,7 +158,7 @@ def test_a_restored_memory_draws_the_same_transitions():
 @settings(max_examples=20, deadline=None)
 def test_compression_loses_nothing_even_of_noise(seed):
     rng = np.random.default_rng(seed)
-    codec = FrameCodec(rng.integers(256, size=PIXELS, dtype=np.uint8).tobytes())
+    codec = ImageCodec(rng.integers(256, size=PIXELS, dtype=np.uint8).tobytes())
     image = rng.integers(256, size=PIXELS, dtype=np.uint8)
     assert codec.decompress(codec.compress(image)) == image.tobytes()
 

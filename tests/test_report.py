@@ -166,16 +166,16 @@ def test_every_figure_has_a_text_alternative(built):
     images = re.findall(r"<img[^>]*>", (built / "index.html").read_text())
     assert images
     assert all(re.search(r'alt="[^"]{20,}"', image) for image in images)
-    films = re.findall(r"<video[^>]*>", (built / "index.html").read_text())
-    assert films
-    assert all(re.search(r'aria-label="[^"]{20,}"', film) for film in films)
-    assert all('poster="data:image/png' in film for film in films)
-    assert (built / "index.html").read_text().count('class="film"') == len(films)
+    videos = re.findall(r"<video[^>]*>", (built / "index.html").read_text())
+    assert videos
+    assert all(re.search(r'aria-label="[^"]{20,}"', video) for video in videos)
+    assert all('poster="data:image/png' in video for video in videos)
+    assert (built / "index.html").read_text().count('class="video"') == len(videos)
 
 
 def test_rendering_again_gives_the_same_bytes(built):
     before = {name: (built / name).read_bytes() for name in ("index.html", "report.pdf")}
-    (built.parent / "notebooks" / "07_results.inputs").unlink()  # which has figures and films
+    (built.parent / "notebooks" / "07_results.inputs").unlink()  # which has figures and videos
     build.build("smoke", built.parent)
     assert {name: (built / name).read_bytes() for name in before} == before
 

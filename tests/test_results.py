@@ -31,7 +31,7 @@ def test_scores_at_marks_are_ours_by_agent_and_seed_beside_the_source_reports(tm
     means = {(1, 500): 10, (501, 1000): 20, (1001, 1500): 30}
     store(tmp_path, "boxing_final", DOUBLE, windows(means, FAR))
     store(tmp_path, "boxing_final", DQN, windows({(501, 1000): -3}, FAR), seed=2)
-    results.show_marks(Section("boxing_final", "full", str(tmp_path), [DQN, DOUBLE], [1, 2]))
+    results.show_milestones(Section("boxing_final", "full", str(tmp_path), [DQN, DOUBLE], [1, 2]))
     rows = shown.tables["tbl-boxing-final-marks"]
     marks = ["500", "1000", "1500", "2000", "2500", "3000"]
     found = [(row["agent"], row["whose"], [row[mark] for mark in marks]) for row in rows]
@@ -61,7 +61,7 @@ def test_marks_of_a_shorter_experiment_are_sixths_of_its_games(tmp_path, shown):
         (835, 1000): 6,
     }
     store(tmp_path, "boxing_low_gamma", DUELING, windows(sixths, FAR, after=0))
-    results.show_marks(study(tmp_path)["boxing_low_gamma"])
+    results.show_milestones(study(tmp_path)["boxing_low_gamma"])
     (row,) = shown.tables["tbl-boxing-low-gamma-marks"]
     assert list(row) == ["agent", "whose", "167", "333", "500", "667", "833", "1000"]
     assert list(row.values())[2:] == ["1.00", "2.00", "3.00", "4.00", "5.00", "6.00"]

@@ -347,30 +347,30 @@ def test_games_without_their_checkpoint_are_not_overwritten(tmp_path, small):
     assert (run.folder / "episodes.csv").read_bytes() == before
 
 
-def test_anew_keeps_what_cannot_be_continued_and_moves_nothing_else(tmp_path, small):
+def test_restart_keeps_what_cannot_be_continued_and_moves_nothing_else(tmp_path, small):
     run, longer = Run(small(episodes=2), tmp_path), Run(small(episodes=4), tmp_path)
-    assert run.set_aside() is None, "missing"
+    assert run.back_up() is None, "missing"
     recorder.train(run)
     before = (run.folder / "episodes.csv").read_bytes()
-    assert run.set_aside() is None, "complete"
-    assert longer.set_aside() is None, "can be continued"
+    assert run.back_up() is None, "complete"
+    assert longer.back_up() is None, "can be continued"
     shutil.rmtree(run.state_folder)
-    aside = longer.set_aside()
+    aside = longer.back_up()
     assert aside == run.folder.with_name("seed-1.aside-1")
     assert (aside / "episodes.csv").read_bytes() == before
     recorder.train(longer)
     assert (run.folder / "episodes.csv").read_bytes().startswith(before)
-    assert Run(small(gamma=0.5), tmp_path).set_aside().name == "seed-1.aside-2", "stale"
+    assert Run(small(gamma=0.5), tmp_path).back_up().name == "seed-1.aside-2", "stale"
 
 
-def test_anew_begins_again_though_a_checkpoint_of_the_same_settings_is_left(tmp_path, small):
+def test_restart_begins_again_though_a_checkpoint_of_the_same_settings_is_left(tmp_path, small):
     first, other = Run(small(episodes=1), tmp_path), Run(small(episodes=1, gamma=0.5), tmp_path)
     recorder.train(first)
-    other.set_aside()
+    other.back_up()
     recorder.train(other)
-    with pytest.raises(RunError, match="--anew"):
+    with pytest.raises(RunError, match="--restart"):
         recorder.train(first)
-    assert first.set_aside().name == "seed-1.aside-2"
+    assert first.back_up().name == "seed-1.aside-2"
     recorder.train(first)
     assert first.state() == "complete"
     assert json.loads((first.folder / "provenance.json").read_text())["resumes"] == 0
@@ -378,7 +378,7 @@ def test_anew_begins_again_though_a_checkpoint_of_the_same_settings_is_left(tmp_
     assert checkpoints.exist(kept)
 
 
-def test_anew_begins_again_when_every_checkpoint_is_damaged(tmp_path, small):
+def test_restart_begins_again_when_every_checkpoint_is_damaged(tmp_path, small):
     run = Run(small(episodes=1), tmp_path)
     recorder.train(run)
     for checkpoint in run.state_folder.glob("checkpoint-*"):
@@ -386,19 +386,19 @@ def test_anew_begins_again_when_every_checkpoint_is_damaged(tmp_path, small):
     longer = Run(small(episodes=2), tmp_path)
     with pytest.raises(checkpoints.CheckpointError, match="damaged"):
         recorder.train(longer)
-    assert longer.set_aside().name == "seed-1.aside-1"
+    assert longer.back_up().name == "seed-1.aside-1"
     recorder.train(longer)
     assert longer.state() == "complete"
 
 
-def test_anew_begins_again_when_neither_a_status_nor_a_checkpoint_is_left(tmp_path, small):
+def test_restart_begins_again_when_neither_a_status_nor_a_checkpoint_is_left(tmp_path, small):
     run = Run(small(episodes=1), tmp_path)
     recorder.train(run)
     (run.folder / "status.json").unlink()
     shutil.rmtree(run.state_folder)
-    with pytest.raises(RunError, match="--anew"):
+    with pytest.raises(RunError, match="--restart"):
         recorder.train(run)
-    assert (run.set_aside() / "episodes.csv").exists()
+    assert (run.back_up() / "episodes.csv").exists()
     recorder.train(run)
     assert run.state() == "complete"
 

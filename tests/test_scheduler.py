@@ -62,7 +62,7 @@ def test_status_tells_why_a_run_does_not_go_on(tmp_path, small, monkeypatch):
     recorder.train(run)
     shutil.rmtree(run.state_folder)
     longer = [Run(small(episodes=2), tmp_path)]
-    assert states(longer) == ["interrupted (no checkpoint here: --anew)"]
+    assert states(longer) == ["interrupted (no checkpoint here: --restart)"]
     assert "1 interrupted;" in plan.summary(plan.status(longer))
 
 
@@ -116,7 +116,7 @@ def test_nothing_is_trained_over_or_from_a_stale_run_here_or_on_a_cluster(
     changed = [Run(small(gamma=0.5), tmp_path), Run(transfer, tmp_path)]
     pending, failures = scheduler.startable(changed)
     assert pending == []
-    assert "holds a run that no longer matches: gamma was 0.99, now 0.5; --anew" in failures[0]
+    assert "holds a run that no longer matches: gamma was 0.99, now 0.5; --restart" in failures[0]
     assert failures[1] == f"{changed[1].name} starts from {changed[0].name}, which is stale"
     assert scheduler.train_all(changed) == failures
     assert (changed[0].folder / "episodes.csv").read_bytes() == before
@@ -138,9 +138,9 @@ def test_a_run_whose_files_are_damaged_is_named_and_the_others_go_on(tmp_path, s
 
 def test_what_a_user_can_mend_is_one_line_and_the_rest_names_its_kind(tmp_path, small):
     run = Run(small(), tmp_path)
-    assert scheduler.told(run, CheckpointError("no space")) == f"{run.name}: no space"
-    assert scheduler.told(run, RunError(f"{run.name} is away")) == f"{run.name} is away"
-    assert scheduler.told(run, ValueError("odd")) == f"{run.name}: ValueError: odd"
+    assert scheduler.error_line(run, CheckpointError("no space")) == f"{run.name}: no space"
+    assert scheduler.error_line(run, RunError(f"{run.name} is away")) == f"{run.name} is away"
+    assert scheduler.error_line(run, ValueError("odd")) == f"{run.name}: ValueError: odd"
 
 
 def test_an_unknown_experiment_to_start_from_is_refused_before_anything_is_trained(

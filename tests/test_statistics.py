@@ -6,7 +6,7 @@ import pytest
 from scipy import stats
 
 from atari_dqn.analysis import statistics
-from atari_dqn.analysis.statistics import interval, scores_at_marks, trailing_mean
+from atari_dqn.analysis.statistics import interval, scores_at_milestones, trailing_mean
 
 
 def test_a_trailing_mean_is_of_the_last_games_and_waits_for_enough():
@@ -17,7 +17,7 @@ def test_a_trailing_mean_is_of_the_last_games_and_waits_for_enough():
 
 def test_scores_at_marks_are_means_of_the_games_before_and_missing_where_not_reached():
     episodes = pd.DataFrame({"episode": [1, 2, 3], "score": [1, 2, 6], "agent": "dqn", "seed": 1})
-    table = scores_at_marks(episodes, (2, 3, 4), window=2)
+    table = scores_at_milestones(episodes, (2, 3, 4), window=2)
     assert table.loc[("dqn", 1)].tolist()[:2] == [1.5, 4.0]
     assert np.isnan(table.loc[("dqn", 1), 4])
 
@@ -128,7 +128,7 @@ def test_scores_at_marks_keep_agents_and_seeds_apart_and_end_with_the_marks_game
         for seed in (1, 2)
         for game in range(1, 9)
     ]
-    table = scores_at_marks(pd.DataFrame(rows), (3, 6, 8), window=3)
+    table = scores_at_milestones(pd.DataFrame(rows), (3, 6, 8), window=3)
     assert table.loc[("dqn", 1)].tolist() == pytest.approx([11, 111, 11 + 100 / 3])
     assert table.loc[("dqn", 2), 6] == 112
     assert table.loc[("double_dqn", 2), 6] == 122

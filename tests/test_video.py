@@ -1,4 +1,4 @@
-"""Films of short games on the real cartridges, with untrained networks."""
+"""Videos of short games on the real cartridges, with untrained networks."""
 
 import io
 
@@ -9,15 +9,15 @@ import pytest
 import torch
 
 from atari_dqn.agents import AGENTS
-from atari_dqn.envs import game_of
+from atari_dqn.envs import make_env
 from atari_dqn.evaluation import play, player_of
-from atari_dqn.report import video
+from atari_dqn.report import video as module
 from atari_dqn.report.video import play_with_instruments, side_by_side
 
 
 def untrained(params):
     torch.manual_seed(0)
-    network = AGENTS[params.agents[0]].network(params.frame_stack, len(game_of(params).actions))
+    network = AGENTS[params.agents[0]].network(params.frame_stack, len(make_env(params).actions))
     return network.requires_grad_(False)
 
 
@@ -39,41 +39,41 @@ def image(png):
 
 @pytest.mark.parametrize("agent", AGENTS)
 @pytest.mark.parametrize("game", ["boxing", "breakout"])
-def test_the_filmed_game_is_the_evaluated_one(small, game, agent):
+def test_the_game_on_video_is_the_evaluated_one(small, game, agent):
     params = small(game=game, agents=[agent], max_game_frames=1200, evaluation_epsilon=0.3)
     network = untrained(params)
     player = player_of(network, params)
     evaluated = {played.game: played for played in play(player, params, 3, seed=5)}
-    film = play_with_instruments(network, params, "Agent", 5, 2, seconds=(None, 0.2))
-    assert repr(film.games) == repr((evaluated[2],))  # nan is not equal to itself
+    video = play_with_instruments(network, params, "Agent", 5, 2, seconds=(None, 0.2))
+    assert repr(video.games) == repr((evaluated[2],))  # nan is not equal to itself
 
 
-def test_a_film_has_a_picture_a_step_and_holds_the_last_for_a_second(small):
+def test_a_video_has_a_picture_a_step_and_holds_the_last_for_a_second(small):
     params = small(evaluation_epsilon=0.5)
-    film = play_with_instruments(untrained(params), params, "Double DQN", 1, 0)
-    pictures, seconds = decoded(film.video)
-    steps = film.games[0].length
+    video = play_with_instruments(untrained(params), params, "Double DQN", 1, 0)
+    pictures, seconds = decoded(video.mp4)
+    steps = video.games[0].length
     assert pictures.shape[0] == steps + 1 + 15
-    assert pictures.shape[2] == video.WIDTH
+    assert pictures.shape[2] == module.WIDTH
     assert seconds == pytest.approx(len(pictures) / 15, abs=0.01)
     assert (pictures[-1].astype(int) - pictures[-15]).max() < 32, "the last picture is held"
-    assert image(film.poster).shape == pictures.shape[1:]
-    height, width, _ = image(film.strip).shape
+    assert image(video.poster).shape == pictures.shape[1:]
+    height, width, _ = image(video.strip).shape
     assert (width, height) > (1200, 400)
 
 
 def test_the_television_and_the_observation_are_those_of_the_game(small):
     """Decoded pictures, compared with the same game played by hand."""
     params = small(evaluation_epsilon=1.0)
-    film = play_with_instruments(untrained(params), params, "Agent", 1, 0)
-    pictures, _ = decoded(film.video)
-    table = video.Table(params)
+    video = play_with_instruments(untrained(params), params, "Agent", 1, 0)
+    pictures, _ = decoded(video.mp4)
+    table = module.EpisodeInProgress(params)
     table.start(0, seed=1)
-    for picture in pictures[: film.games[0].length]:
-        screen = picture[video.TOP : video.TOP + 420 : 2, video.MARGIN : video.MARGIN + 320 : 2]
+    for picture in pictures[: video.games[0].length]:
+        screen = picture[module.TOP : module.TOP + 420 : 2, module.MARGIN : module.MARGIN + 320 : 2]
         assert np.abs(screen.astype(int) - table.emulator.render()).mean() < 6
-        x = video.RIGHT + 3 * (84 + video.GAP)
-        newest = picture[video.TOP : video.TOP + 84, x : x + 84, 1]
+        x = module.RIGHT + 3 * (84 + module.GAP)
+        newest = picture[module.TOP : module.TOP + 84, x : x + 84, 1]
         assert np.abs(newest.astype(int) - table.planes[-1].reshape(84, 84)).mean() < 6
         table.rng.random(1)  # whether to explore, and how, as `epsilon_greedy` draws it
         table.step(int(table.rng.integers(18, size=1)[0]))
@@ -97,8 +97,8 @@ def test_an_excerpt_lasts_as_long_as_was_asked_for(small, seconds, pictures):
     params = small()
     network = untrained(params)
     whole, _ = decoded(play_with_instruments(network, params, "Agent", 1, 0).video)
-    film = play_with_instruments(network, params, "Agent", 1, 0, seconds)
-    part, _ = decoded(film.video)
+    video = play_with_instruments(network, params, "Agent", 1, 0, seconds)
+    part, _ = decoded(video.mp4)
     assert len(part) == pictures
     start = round((seconds[0] or 0) * 15) if (seconds[0] or 0) >= 0 else len(whole) - pictures
     assert np.abs(part[0].astype(int) - whole[start]).mean() < 3
@@ -114,7 +114,7 @@ def test_the_value_stream_is_the_mean_of_the_q_values(small):
     """The dueling network's advantages have mean 0; the others' value is the greatest Q."""
     for agent, reduce in (("dueling_double_dqn", np.mean), ("double_dqn", np.max)):
         params = small(agents=[agent], evaluation_epsilon=0.5)
-        recording = video._record(untrained(params), params, seed=1, game=0)
+        recording = module._record(untrained(params), params, seed=1, game=0)
         expected = reduce(recording.q_values, axis=1)
         np.testing.assert_allclose(recording.values, expected, atol=1e-6)
         assert recording.values.std() > 1e-5, "the test would not see a wrong order"
@@ -126,16 +126,16 @@ def test_three_contestants_play_until_the_last_has_finished(small):
     for agent, frames in zip(AGENTS, lengths, strict=True):
         params = small(agents=[agent], max_game_frames=frames, evaluation_epsilon=0.5)
         contestants[agent] = (untrained(params), params)
-    film = side_by_side(contestants, 1, 0)
-    pictures, _ = decoded(film.video)
-    assert len(pictures) == max(game.length for game in film.games) + 1 + 15
-    for (network, params), filmed in zip(contestants.values(), film.games, strict=True):
-        assert [filmed] == list(play(player_of(network, params), params, 1, seed=1))
+    video = side_by_side(contestants, 1, 0)
+    pictures, _ = decoded(video.mp4)
+    assert len(pictures) == max(game.length for game in video.games) + 1 + 15
+    for (network, params), recorded in zip(contestants.values(), video.games, strict=True):
+        assert [recorded] == list(play(player_of(network, params), params, 1, seed=1))
     bright = [[picture[48:330, x : x + 218].mean() for x in (16, 250, 484)] for picture in pictures]
-    for column, game in enumerate(film.games):
+    for column, game in enumerate(video.games):
         during, after = bright[game.length - 1][column], bright[game.length][column]
         assert after < during / 2, "dimmed once its game is over"
-    assert all(image(png).shape[1] >= video.WIDTH for png in (film.poster, film.strip))
+    assert all(image(png).shape[1] >= module.WIDTH for png in (video.poster, video.strip))
 
 
 def test_contestants_must_keep_the_same_time(small):
@@ -149,7 +149,7 @@ def test_contestants_must_keep_the_same_time(small):
 
 def test_action_names_are_words():
     names = ["NOOP", "FIRE", "UP", "UPRIGHTFIRE", "DOWNLEFT"]
-    assert [video._words(name) for name in names] == [
+    assert [module._words(name) for name in names] == [
         "noop",
         "fire",
         "up",

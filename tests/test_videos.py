@@ -1,4 +1,4 @@
-"""Which run and game a film is of, and that its caption says so; nothing is filmed here."""
+"""Which run and game a video is of, and that its caption says so; nothing is recorded here."""
 
 from types import SimpleNamespace
 
@@ -12,8 +12,8 @@ DQN, DOUBLE, DUELING = AGENTS
 
 
 @pytest.fixture
-def filmed(monkeypatch):
-    """Stands in for models and cameras: what is filmed, and under which caption. A run has models
+def recorded(monkeypatch):
+    """Stands in for models and cameras: what is recorded, and under which caption. A run has models
     of 100 games, and of all its games."""
     seen = SimpleNamespace(captions={}, data={}, played=None, contestants=None, seconds=None)
     monkeypatch.setattr(
@@ -31,57 +31,57 @@ def filmed(monkeypatch):
         scores = range(10, 10 + len(contestants))
         return SimpleNamespace(games=[SimpleNamespace(score=float(score)) for score in scores])
 
-    def show_film(film, label, caption, alt, data):
+    def show_video(video, label, caption, alt, data):
         seen.captions[label], seen.data[label] = caption, data
 
-    monkeypatch.setattr(videos.video, "play_with_instruments", play_with_instruments)
-    monkeypatch.setattr(videos.video, "side_by_side", side_by_side)
-    monkeypatch.setattr(videos, "show_film", show_film)
+    monkeypatch.setattr(videos, "play_with_instruments", play_with_instruments)
+    monkeypatch.setattr(videos, "side_by_side", side_by_side)
+    monkeypatch.setattr(videos, "show_video", show_video)
     return seen
 
 
-def test_the_best_is_the_run_that_scored_most_in_its_last_hundred_games(tmp_path, filmed):
+def test_the_best_is_the_run_that_scored_most_in_its_last_hundred_games(tmp_path, recorded):
     store(tmp_path, "boxing_final", DQN, np.repeat([99.0, 5.0], [600, 100]))
     store(tmp_path, "boxing_final", DOUBLE, np.repeat([0.0, 9.0], [600, 100]))
     store(tmp_path, "boxing_final", DUELING, np.repeat([9.0, -50.0], [699, 51]))
     videos.show_best(study(tmp_path)["boxing_final"], "vid-best", seconds=20)
-    assert filmed.played["network"] == (DOUBLE, 700)
-    assert filmed.played["seconds"] == (None, 20)
-    assert facts(filmed.played["title"]) == ["Double DQN", 700]
-    caption = filmed.captions["vid-best"]
+    assert recorded.played["network"] == (DOUBLE, 700)
+    assert recorded.played["seconds"] == (None, 20)
+    assert facts(recorded.played["title"]) == ["Double DQN", 700]
+    caption = recorded.captions["vid-best"]
     assert numbers(caption) == [700, 20, -7]
     assert caption.startswith("Double DQN after")
 
 
-def test_early_and_late_are_the_same_runs_first_model_and_its_last(tmp_path, filmed):
+def test_early_and_late_are_the_same_runs_first_model_and_its_last(tmp_path, recorded):
     store(tmp_path, "boxing_final", DQN, np.zeros(299))  # not long enough between the two
     store(tmp_path, "boxing_final", DOUBLE, np.zeros(300))
     videos.show_early_and_late(study(tmp_path)["boxing_final"], "vid-early-late")
-    assert list(filmed.contestants.values()) == [(DOUBLE, 100), (DOUBLE, 300)]
-    assert [numbers(title) for title in filmed.contestants] == [[100], [300]]
-    assert filmed.seconds == (None, 30)
-    assert facts(filmed.captions["vid-early-late"]) == ["Double DQN", 100, 300, 30, 10, 11]
+    assert list(recorded.contestants.values()) == [(DOUBLE, 100), (DOUBLE, 300)]
+    assert [numbers(title) for title in recorded.contestants] == [[100], [300]]
+    assert recorded.seconds == (None, 30)
+    assert facts(recorded.captions["vid-early-late"]) == ["Double DQN", 100, 300, 30, 10, 11]
 
 
-def test_side_by_side_each_agent_has_its_own_name_and_newest_model(tmp_path, filmed):
+def test_side_by_side_each_agent_has_its_own_name_and_newest_model(tmp_path, recorded):
     for agent, games in ((DUELING, 400), (DQN, 200), (DOUBLE, 300)):
         store(tmp_path, "boxing_final", agent, np.zeros(games))
     videos.show_side_by_side(study(tmp_path)["boxing_final"], "vid-side-by-side")
-    assert filmed.contestants == {
+    assert recorded.contestants == {
         "DQN, 200": (DQN, 200),
         "Double DQN, 300": (DOUBLE, 300),
         "Dueling Double DQN, 400": (DUELING, 400),
     }
-    assert filmed.seconds == (None, 30)
-    assert numbers(filmed.captions["vid-side-by-side"]) == [30, 10, 11, 12]
+    assert recorded.seconds == (None, 30)
+    assert numbers(recorded.captions["vid-side-by-side"]) == [30, 10, 11, 12]
 
 
-def test_a_knock_out_is_one_that_the_agent_gives(tmp_path, filmed):
+def test_a_knock_out_is_one_that_the_agent_gives(tmp_path, recorded):
     for agent, knocked in ((DQN, [-1, 0, 0, 0]), (DOUBLE, [-1, 0, 1, 1])):
         run = store(tmp_path, "boxing_final", agent, np.zeros(700))
         evaluate(run, games=4, trained=700, knockout=knocked)
     videos.show_knockout(study(tmp_path)["boxing_final"], "vid-knockout")
-    assert filmed.played["network"] == (DOUBLE, 700)
-    assert filmed.played["game"] == 2
-    assert filmed.played["seconds"] == (-15, None)
-    assert facts(filmed.captions["vid-knockout"]) == ["Double DQN", 700, 15, 2, -7]
+    assert recorded.played["network"] == (DOUBLE, 700)
+    assert recorded.played["game"] == 2
+    assert recorded.played["seconds"] == (-15, None)
+    assert facts(recorded.captions["vid-knockout"]) == ["Double DQN", 700, 15, 2, -7]

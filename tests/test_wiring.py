@@ -13,7 +13,7 @@ from safetensors.torch import load_file
 
 from atari_dqn import evaluation, training
 from atari_dqn.agents import AGENTS
-from atari_dqn.envs import AtariGame, GameRecord, LockstepGames
+from atari_dqn.envs import AtariEnv, EpisodeRecord, VectorEnv
 from atari_dqn.evaluation import player_of
 from atari_dqn.native import new_learner
 from atari_dqn.params import Parameters
@@ -121,8 +121,8 @@ def _(make, *_):
 
 def paying(monkeypatch, points):
     """Lets every frame pay."""
-    act = AtariGame._act
-    monkeypatch.setattr(AtariGame, "_act", lambda self, action: act(self, action) * 0 + points)
+    act = AtariEnv._act
+    monkeypatch.setattr(AtariEnv, "_act", lambda self, action: act(self, action) * 0 + points)
 
 
 @case("clip_rewards")
@@ -344,7 +344,7 @@ def test_every_random_stream_is_another_one_and_evaluation_has_its_own(small):
     assert len(set(used)) == 2 * (4 + 2)
     first, second = (trainer.learner.weights()["hidden.weight"] for trainer in trainers)
     assert not (first == second).any()
-    table, drawn = evaluation.Table(small()), set()
+    table, drawn = evaluation.EpisodeInProgress(small()), set()
     for seed in (1, 2):
         for number in range(3):
             table.start(number, seed)
@@ -354,7 +354,7 @@ def test_every_random_stream_is_another_one_and_evaluation_has_its_own(small):
 
 
 def test_a_game_that_restarts_draws_other_idle_frames(small):
-    games = LockstepGames(small(environments=1, max_game_frames=40), np.random.SeedSequence(1))
+    games = VectorEnv(small(environments=1, max_game_frames=40), np.random.SeedSequence(1))
     ended = [game for _ in range(60) for game in games.step(np.zeros(1, int)).finished]
     assert len({game.record.idle_frames for game in ended}) > len(ended) / 2 > 2
 
@@ -605,7 +605,7 @@ def test_time_is_logged_by_both_clocks_and_goes_on_after_a_stop(small, tmp_path,
 
     def log(recorder, episode):
         clocks.wall, clocks.cpu = clocks.wall + 60, clocks.cpu + 7
-        recorder.log(Episode(episode, 1, 1, 0.0, 1, 0.5, 0.0, 0.0, GameRecord(1, b"", None)))
+        recorder.log(Episode(episode, 1, 1, 0.0, 1, 0.5, 0.0, 0.0, EpisodeRecord(1, b"", None)))
         recorder.save()
         recorder.write_provenance()
         recorder.close()

@@ -39,10 +39,10 @@ Results = Annotated[
     typer.Option(help="Results folder; by default results/, or results/PROFILE/ of a profile."),
 ]
 Profile = Annotated[str, typer.Option(help=f"One of {', '.join(params.PROFILES)}.")]
-Anew = Annotated[
+Restart = Annotated[
     bool,
     typer.Option(
-        "--anew",
+        "--restart",
         help="Begin runs again that cannot be continued here (stale, or without their checkpoint); "
         "what is stored of them is kept beside.",
     ),
@@ -60,9 +60,9 @@ def _interruptible() -> Iterator[None]:
         raise typer.Exit(130) from None
 
 
-def _set_aside(wanted: list[Run]) -> None:
+def _back_up(wanted: list[Run]) -> None:
     for run in wanted:
-        aside = run.set_aside()
+        aside = run.back_up()
         if aside is not None:
             print(f"{run.name} begins again; what was stored of it is kept in {aside}")
 
@@ -79,7 +79,7 @@ def train(
         list[str] | None,
         typer.Option("--set", metavar="KEY=VALUE", help="Change a parameter; may be repeated."),
     ] = None,
-    anew: Anew = False,
+    restart: Restart = False,
 ) -> None:
     """Train the runs of one experiment, or continue them; what is complete stays as it is.
 
@@ -88,7 +88,7 @@ def train(
     overrides = params.parse_overrides(set_ or [])
     chosen = params.pick(params.load(params_file, overrides), agent, seed)
     wanted = runs_of(chosen, results_folder(chosen.profile, results))
-    _set_aside(wanted if anew else [])
+    _back_up(wanted if restart else [])
     with _interruptible():
         for run in wanted:
             print(recorder.train(run))
@@ -106,7 +106,8 @@ def evaluate(
     ] = None,
     epsilon: Annotated[float | None, typer.Option(help="Probability of a random action.")] = None,
     video: Annotated[
-        Path | None, typer.Option(help="Film the first game, and what the network makes of it.")
+        Path | None,
+        typer.Option(help="Make a video of the first game, with the values of its actions."),
     ] = None,
 ) -> None:
     """Play whole games with a run's published model and store them in its evaluations.csv."""
@@ -140,7 +141,7 @@ RunFolder = Annotated[Path, typer.Argument(help="A stored run's folder, .../seed
 def replay(
     run_dir: RunFolder,
     episode: Annotated[int, typer.Option(min=1, help="The training game.")],
-    video: Annotated[Path | None, typer.Option(help="Film it: what the television shows.")] = None,
+    video: Annotated[Path | None, typer.Option(help="Make a video of it.")] = None,
 ) -> None:
     """Play a training game again from its record."""
     _writable(video)
@@ -211,13 +212,13 @@ def run(
         str | None,
         typer.Option(metavar="tcp://HOST:PORT", help="Train on this Dask scheduler's workers."),
     ] = None,
-    anew: Anew = False,
+    restart: Restart = False,
 ) -> None:
     """Train what is missing or interrupted, several runs at once."""
     if scheduler is not None and workers is not None:
         raise ParameterError("--workers: a cluster has its own; leave it out with --scheduler")
     wanted = plan.planned(profile, names or [], results)
-    _set_aside(wanted if anew else [])
+    _back_up(wanted if restart else [])
     with _interruptible():
         if scheduler is None:
             failures = train_all(wanted, workers)

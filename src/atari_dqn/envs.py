@@ -1,6 +1,6 @@
 """The games: an Atari cartridge as a Gymnasium environment, and several of them stepped in turn.
 
-`AtariGame` does in one class what `gymnasium.wrappers.AtariPreprocessing` does around
+`AtariEnv` does in one class what `gymnasium.wrappers.AtariPreprocessing` does around
 `ale_py.AtariEnv` (tests/test_envs.py compares the two pixel by pixel). It exists because the whole
 state of a game must be savable at any moment, because the score must be that of the whole game,
 and because it is faster.
@@ -34,7 +34,7 @@ cv2.setNumThreads(1)
 
 
 @dataclass(frozen=True)
-class GameRecord:
+class EpisodeRecord:
     """What a game can be played again from, frame by frame: the emulator knows no chance of its
     own, so that a fresh one with any seed does the same."""
 
@@ -62,14 +62,14 @@ def _emulator(game: str) -> Emulator:
     if left := _LEFT.setdefault(game, []):
         return left.pop()
     ale = ALEInterface()
-    ale.setFloat("repeat_action_probability", 0.0)  # see AtariGame._act
+    ale.setFloat("repeat_action_probability", 0.0)  # see AtariEnv._act
     rom = roms.get_rom_path(game)
     assert rom, game
     ale.loadROM(rom)
     return Emulator(ale, ale.cloneState(include_rng=True))
 
 
-class AtariGame(gymnasium.Env):
+class AtariEnv(gymnasium.Env):
     """One cartridge in one emulator, preprocessed as in Mnih et al. (2015), Methods.
 
     Observation: uint8 [84, 84], the newest image only (stacking is the caller's, who keeps each
@@ -111,7 +111,7 @@ class AtariGame(gymnasium.Env):
         self._screens = np.zeros((2, 210, 160), np.uint8)  # the two frames that are maximised
         self.score, self.frames, self.length, self.lives = 0.0, 0, 0, 0
         self.last_action = 0  # the one executed in the last frame
-        self.record = GameRecord(0, b"", None)  # of the game's beginning; `played` has the actions
+        self.record = EpisodeRecord(0, b"", None)  # of the beginning; `played` has the actions
         self.chosen = bytearray()  # actions of this game
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
@@ -130,7 +130,7 @@ class AtariGame(gymnasium.Env):
         if record is None:
             idle = int(self.np_random.integers(1, self.noop_max + 1)) if self.noop_max else 0
             chance = self.np_random.bit_generator.state if self.sticky_actions else None
-            record = GameRecord(idle, b"", dict(chance) if chance else None)
+            record = EpisodeRecord(idle, b"", dict(chance) if chance else None)
         elif self.sticky_actions:
             self.np_random.bit_generator.state = record.rng
         self.record, self.chosen = record, bytearray()
@@ -172,7 +172,7 @@ class AtariGame(gymnasium.Env):
         info = {"lives": self.lives, "life_lost": life_lost}
         return self._image(newest), reward, terminated, truncated, info
 
-    def played(self) -> GameRecord:
+    def played(self) -> EpisodeRecord:
         """The game so far."""
         return replace(self.record, actions=bytes(self.chosen))
 
@@ -255,13 +255,13 @@ class AtariGame(gymnasium.Env):
         self.score, self.frames = state["score"], state["frames"]
         self.length, self.lives = state["length"], state["lives"]
         self.last_action = state["last_action"]
-        self.record = GameRecord(**state["record"])
+        self.record = EpisodeRecord(**state["record"])
         self.chosen = bytearray(self.record.actions)
 
 
-def game_of(params: Parameters) -> AtariGame:
+def make_env(params: Parameters) -> AtariEnv:
     """A game as `params` set it up."""
-    return AtariGame(
+    return AtariEnv(
         params.game,
         frame_skip=params.frame_skip,
         noop_max=params.noop_max,
@@ -272,13 +272,13 @@ def game_of(params: Parameters) -> AtariGame:
 
 
 @dataclass(frozen=True)
-class FinishedGame:
+class FinishedEpisode:
     """A whole game, from the first frame to the last."""
 
     score: float  # points, raw and unclipped
     length: int  # agent steps
     frames: int  # emulator frames, idle and serving ones included
-    record: GameRecord
+    record: EpisodeRecord
 
 
 @dataclass(frozen=True)
@@ -289,10 +289,10 @@ class VectorStep:
     ages: np.ndarray  # int32, agent steps since the game began; 0 = this step began it
     rewards: np.ndarray  # float32, what is learned from: clipped, less the life-loss penalty
     terminated: np.ndarray  # bool, the game is over (not merely cut)
-    finished: list[FinishedGame]
+    finished: list[FinishedEpisode]
 
 
-class LockstepGames:
+class VectorEnv:
     """Several games stepped in turn, so that one forward pass selects all their actions.
 
     A game that ended restarts in the next step, whose action it ignores (Gymnasium's next-step
@@ -301,7 +301,7 @@ class LockstepGames:
 
     def __init__(self, params: Parameters, seed: np.random.SeedSequence):
         self.params = params
-        self.games = [game_of(params) for _ in range(params.environments)]
+        self.games = [make_env(params) for _ in range(params.environments)]
         self.actions = len(self.games[0].actions)
         # The last `frame_stack` images of every game, oldest first. Planes, since the newest are
         # the replay memory's and one call interleaves them into observations.
@@ -331,7 +331,9 @@ class LockstepGames:
             rewards[index] = learned_reward(self.params, raw, info["life_lost"])
             if terminated[index] or truncated:
                 self.ended[index] = True
-                finished.append(FinishedGame(game.score, game.length, game.frames, game.played()))
+                finished.append(
+                    FinishedEpisode(game.score, game.length, game.frames, game.played())
+                )
         ages = np.array([game.length for game in self.games], np.int32)
         return VectorStep(self.planes[-1], ages, rewards, terminated, finished)
 

@@ -13,7 +13,7 @@ import numpy as np
 from torch import nn
 
 from atari_dqn.agents import AGENTS
-from atari_dqn.envs import SIZE, GameRecord, game_of, interleave, learned_reward
+from atari_dqn.envs import SIZE, EpisodeRecord, interleave, learned_reward, make_env
 from atari_dqn.native import new_learner
 from atari_dqn.params import HELD_OUT_STATES, VALUE_GAMES, Parameters
 from atari_dqn.params import VALUES_PERIOD as VALUES_PERIOD  # read by those who write the checks
@@ -27,7 +27,7 @@ BATCH = 8  # observations a forward pass; fixed, since the last bits of Q depend
 
 
 @dataclass(frozen=True)
-class PlayedGame:
+class EvaluationEpisode:
     """One evaluation game, a row of evaluations.csv."""
 
     game: int  # 0, 1, ...; decides the game's random seeds
@@ -43,28 +43,28 @@ class PlayedGame:
     scored: float  # points of the agent alone
     conceded: float  # points of its rival
     distance: float  # pixels between the two boxers, mean over the steps; nan in other games
-    record: GameRecord  # not a column
+    record: EpisodeRecord  # not a column
 
     def row(self) -> dict[str, Any]:
         return {name: getattr(self, name) for name in PLAYED_COLUMNS}
 
 
-PLAYED_COLUMNS = [field.name for field in fields(PlayedGame) if field.name != "record"]
+PLAYED_COLUMNS = [field.name for field in fields(EvaluationEpisode) if field.name != "record"]
 
 
 def player_of(network: nn.Module, params: Parameters) -> Player:
     """What plays with the network of `params`' first agent: the learner that would train with them
     here, so that the native one's evaluations are the same games wherever they are repeated."""
-    learner = new_learner(AGENTS[params.agents[0]], len(game_of(params).actions), params, seed=0)
+    learner = new_learner(AGENTS[params.agents[0]], len(make_env(params).actions), params, seed=0)
     learner.set_weights(network.state_dict())
     return learner.q_values
 
 
-class Table:
+class EpisodeInProgress:
     """A game in progress at one emulator."""
 
     def __init__(self, params: Parameters):
-        self.emulator = game_of(params)
+        self.emulator = make_env(params)
         self.planes = np.zeros((params.frame_stack, SIZE * SIZE), np.uint8)
         self.game = -1
         self.rng = np.random.default_rng()
@@ -89,9 +89,9 @@ class Table:
         self.planes[-1] = image.reshape(-1)
         return terminated or truncated
 
-    def result(self, seed: int) -> PlayedGame:
+    def result(self, seed: int) -> EvaluationEpisode:
         emulator, params = self.emulator, self.params
-        return PlayedGame(
+        return EvaluationEpisode(
             self.game,
             emulator.score,
             emulator.length,
@@ -108,7 +108,7 @@ class Table:
         )
 
 
-def play(player: Player, params: Parameters, games: int, seed: int) -> Iterator[PlayedGame]:
+def play(player: Player, params: Parameters, games: int, seed: int) -> Iterator[EvaluationEpisode]:
     """Plays games 0 to `games` - 1 to their ends, several at once, each as it ends.
 
     Every game that is begun is counted, so that short games are not favoured.
@@ -116,7 +116,7 @@ def play(player: Player, params: Parameters, games: int, seed: int) -> Iterator[
     waiting = iter(range(games))
     tables = []
     for game in waiting:
-        tables.append(Table(params))
+        tables.append(EpisodeInProgress(params))
         tables[-1].start(game, seed)
         if len(tables) == EMULATORS:
             break
@@ -167,7 +167,7 @@ class ValueCheck:
 
 def held_out_states(params: Parameters) -> np.ndarray:
     """Observations of random play, uint8 [512, 84, 84, stack]: one in eight steps."""
-    table, rng = Table(params), np.random.default_rng(0)
+    table, rng = EpisodeInProgress(params), np.random.default_rng(0)
     game, states = 0, []
     table.start(game, seed=0)
     for step in range(8 * HELD_OUT_STATES):
@@ -181,13 +181,13 @@ def held_out_states(params: Parameters) -> np.ndarray:
 
 def check_values(
     player: Player, params: Parameters, held_out: np.ndarray, episode: int, seed: int
-) -> tuple[ValueCheck, list[PlayedGame]]:
+) -> tuple[ValueCheck, list[EvaluationEpisode]]:
     """Compares predicted values with what then happened (van Hasselt et al., 2016, figure 3).
 
     `held_out` are observations [N, 84, 84, stack], of which the mean greatest value is taken. The
     games are returned too.
     """
-    tables = [Table(params) for _ in range(VALUE_GAMES)]
+    tables = [EpisodeInProgress(params) for _ in range(VALUE_GAMES)]
     for number, table in enumerate(tables):
         table.start(VALUE_GAMES * episode + number, seed)
     predictions: list[list[float]] = [[] for _ in tables]

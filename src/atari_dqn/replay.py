@@ -36,7 +36,7 @@ class Batch:
     s_t: np.ndarray  # uint8 [N, 84, 84, S]
 
 
-class FrameCodec:
+class ImageCodec:
     """Lossless compression of images that resemble one another.
 
     The first image is the dictionary of all that follow (zstandard's raw-content dictionary):
@@ -60,7 +60,7 @@ class FrameCodec:
         return self._decompress(data, max_output_size=PIXELS)
 
 
-class FrameStore:
+class ImageStore:
     """Compressed images by slot, in a few large segments that are filled one after the other.
 
     A million small blocks of memory would leave no room between them for a batch's large ones, and
@@ -138,8 +138,8 @@ class ReplayMemory:
         self.rows, self.streams, self.stack = capacity // streams, streams, stack
         self.gamma = gamma
         self.rng = np.random.default_rng(seed)
-        self.codec: FrameCodec | None = None
-        self.frames = FrameStore(self.rows * streams)
+        self.codec: ImageCodec | None = None
+        self.frames = ImageStore(self.rows * streams)
         shape = (self.rows, streams)
         self.ages = np.zeros(shape, np.int32)
         self.actions = np.zeros(shape, np.uint8)
@@ -162,7 +162,7 @@ class ReplayMemory:
     ) -> None:
         """Writes one slot a stream: images uint8 [streams, 84*84], the rest [streams]."""
         if self.codec is None:
-            self.codec = FrameCodec(images[0].tobytes())
+            self.codec = ImageCodec(images[0].tobytes())
         for stream, image in enumerate(images):
             self.frames[self.row * self.streams + stream] = self.codec.compress(image)
         self.ages[self.row] = ages
@@ -238,8 +238,8 @@ class ReplayMemory:
             getattr(self, name)[:used] = state[name]
         self.row, self.full = state["row"], state["full"]
         self.rng.bit_generator.state = state["rng"]
-        self.codec = FrameCodec(state["first_image"]) if state["first_image"] else None
-        self.frames = FrameStore(self.rows * self.streams)
+        self.codec = ImageCodec(state["first_image"]) if state["first_image"] else None
+        self.frames = ImageStore(self.rows * self.streams)
         self.frames.set_state(state["frames"], self._oldest_first())
 
     def _oldest_first(self) -> np.ndarray:

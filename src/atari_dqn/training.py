@@ -21,7 +21,7 @@ import numpy as np
 import torch
 
 from atari_dqn.agents import AGENTS
-from atari_dqn.envs import FinishedGame, GameRecord, LockstepGames
+from atari_dqn.envs import EpisodeRecord, FinishedEpisode, VectorEnv
 from atari_dqn.native import new_learner
 from atari_dqn.params import Parameters
 from atari_dqn.replay import ReplayMemory
@@ -57,7 +57,7 @@ class Episode:
     epsilon: float  # probability of a random action when the game ended
     loss: float  # mean over the updates since games last finished; nan before the first update
     mean_q: float  # mean Q(s, a) of the same updates' transitions
-    record: GameRecord  # not a column
+    record: EpisodeRecord  # not a column
 
     @classmethod
     def columns(cls) -> list[str]:
@@ -82,7 +82,7 @@ class Trainer:
     ):
         seeds = np.random.SeedSequence(seed).spawn(4)
         self.params = params
-        self.games = LockstepGames(params, seeds[0])
+        self.games = VectorEnv(params, seeds[0])
         self.memory = ReplayMemory(
             params.replay_capacity,
             params.environments,
@@ -130,7 +130,7 @@ class Trainer:
             loss, q = self.learner.learn(self.memory.sample(self.params.batch_size))
             self.sums += (loss, q, 1)
 
-    def _finish(self, games: list[FinishedGame], probability: float) -> None:
+    def _finish(self, games: list[FinishedEpisode], probability: float) -> None:
         loss, q, updates = self.sums
         if updates:
             self.means = (loss / updates, q / updates)
@@ -177,6 +177,6 @@ class Trainer:
         self.sums[:] = state["sums"]
         self.means = tuple(state["means"])
         self.waiting = deque(
-            Episode(**{**episode, "record": GameRecord(**episode["record"])})
+            Episode(**{**episode, "record": EpisodeRecord(**episode["record"])})
             for episode in state["waiting"]
         )

@@ -16,15 +16,15 @@ from atari_dqn.analysis.verdicts import (
     Verdict,
     all_of,
     beaten_everywhere,
-    between,
-    finished,
-    greedy,
+    compare_agents,
+    compare_evaluations,
+    compare_greedy_checks,
+    compare_steadiness,
+    compare_training,
     human_level,
-    learning,
     negated,
-    ordered,
     overestimation,
-    steadier,
+    runs_finished,
 )
 
 REFINED = [DOUBLE, DUELING]
@@ -66,14 +66,14 @@ FINDINGS = (
         "All three agents exceed the human score in Boxing after 1,000 games",
         "2.1",
         ("boxing_final",),
-        lambda study: human_level(study, "boxing_final", mark=2),
+        lambda study: human_level(study, "boxing_final", milestone=2),
     ),
     Claim(
         "Double and Dueling Double DQN end above DQN in Boxing",
         "2.1",
         ("boxing_final",),
         lambda study: all_of(
-            [ordered(study, "boxing_final", agent, [DQN], 6) for agent in REFINED]
+            [compare_agents(study, "boxing_final", agent, [DQN], 6) for agent in REFINED]
         ),
     ),
     Claim(
@@ -82,7 +82,7 @@ FINDINGS = (
         ("boxing_final", "breakout_final"),
         lambda study: all_of(
             [
-                ordered(study, name, DUELING, [DQN, DOUBLE], 1)
+                compare_agents(study, name, DUELING, [DQN, DOUBLE], 1)
                 for name in ("boxing_final", "breakout_final")
             ]
         ),
@@ -91,14 +91,17 @@ FINDINGS = (
         "Double DQN ends highest in Boxing",
         "2.1",
         ("boxing_final",),
-        lambda study: ordered(study, "boxing_final", DOUBLE, [DQN, DUELING], 6),
+        lambda study: compare_agents(study, "boxing_final", DOUBLE, [DQN, DUELING], 6),
     ),
     Claim(
         "Double DQN ends lowest in Breakout",
         "2.1",
         ("breakout_final",),
         lambda study: all_of(
-            [ordered(study, "breakout_final", agent, [DOUBLE], 6) for agent in (DQN, DUELING)]
+            [
+                compare_agents(study, "breakout_final", agent, [DOUBLE], 6)
+                for agent in (DQN, DUELING)
+            ]
         ),
     ),
     Claim(
@@ -116,58 +119,62 @@ FINDINGS = (
         "Preprocessing, and the settings that came with it, improve DQN in Breakout",
         "3.2.3",
         ("breakout_early", "breakout_late"),
-        lambda study: all_of(greedy(study, "breakout_late", "breakout_early")),
+        lambda study: all_of(compare_evaluations(study, "breakout_late", "breakout_early")),
     ),
     Claim(
         "DQN is the best of the later Breakout experiment",
         "3.2.3",
         ("breakout_late",),
-        lambda study: ordered(study, "breakout_late", DQN, REFINED, 6),
+        lambda study: compare_agents(study, "breakout_late", DQN, REFINED, 6),
     ),
     Claim(
         "Breakout improves with a price on lost lives (and with larger batches, and with less "
         "exploration in the end)",
         "3.3.1, implied",
         ("breakout_final", "breakout_late"),
-        lambda study: all_of(greedy(study, "breakout_final", "breakout_late")),
+        lambda study: all_of(compare_evaluations(study, "breakout_final", "breakout_late")),
     ),
     Claim(
         "The early Boxing settings (rate 1e-3, batch 64, floor 0.1) learn less than the final ones",
         "3.3.1",
         ("boxing_early",),
-        lambda study: all_of(learning(study, "boxing_final", "boxing_early")),
+        lambda study: all_of(compare_greedy_checks(study, "boxing_final", "boxing_early")),
     ),
     Claim(
         "With them, the learning curve oscillates more",
         "3.3.1",
         ("boxing_early",),
-        lambda study: steadier(study, "boxing_final", "boxing_early", DQN),
+        lambda study: compare_steadiness(study, "boxing_final", "boxing_early", DQN),
     ),
     Claim(
         "A discount of 0.9 makes agents reckless: they concede more points than with 0.99",
         "3.3.2",
         ("boxing_low_gamma",),
         lambda study: all_of(
-            greedy(study, "boxing_low_gamma", "boxing_final", "conceded_a_minute")
+            compare_evaluations(study, "boxing_low_gamma", "boxing_final", "conceded_a_minute")
         ),
     ),
     Claim(
         "A discount of 0.9 plays worse than 0.99",
         "3.3.2, implied",
         ("boxing_low_gamma",),
-        lambda study: all_of(between(study, "boxing_final", "boxing_low_gamma")),
+        lambda study: all_of(compare_training(study, "boxing_final", "boxing_low_gamma")),
     ),
     Claim(
         "A discount of 0.995 makes agents shy: they keep a greater distance than with 0.99",
         "3.3.2",
         ("boxing_high_gamma",),
-        lambda study: all_of(greedy(study, "boxing_high_gamma", "boxing_final", "distance")),
+        lambda study: all_of(
+            compare_evaluations(study, "boxing_high_gamma", "boxing_final", "distance")
+        ),
     ),
     Claim(
         "All agents learn faster in expert mode: they gain more in the first 500 games",
         "additional",
         ("boxing_expert",),
-        lambda study: all_of(between(study, "boxing_expert", "boxing_final", mark=1, gain=True)),
+        lambda study: all_of(
+            compare_training(study, "boxing_expert", "boxing_final", milestone=1, gain=True)
+        ),
     ),
     Claim(
         f"Starting from a Breakout agent is worth less than {MARGIN:g} points in Boxing, early "
@@ -177,9 +184,9 @@ FINDINGS = (
         lambda study: all_of(
             [
                 negated(gains)
-                for mark in (1, None)
-                for gains in between(
-                    study, "boxing_transfer", "boxing_final", mark=mark, margin=MARGIN
+                for milestone in (1, None)
+                for gains in compare_training(
+                    study, "boxing_transfer", "boxing_final", milestone=milestone, margin=MARGIN
                 )
             ]
         ),
@@ -202,7 +209,7 @@ INTERPRETATIONS = (
         lambda study: _premise(
             all_of(
                 [
-                    ordered(study, "boxing_final", DOUBLE, [DQN, DUELING], 6),
+                    compare_agents(study, "boxing_final", DOUBLE, [DQN, DUELING], 6),
                     overestimation(study, "boxing_final"),
                 ]
             ),
@@ -214,7 +221,7 @@ INTERPRETATIONS = (
         "2.1",
         ("boxing_final",),
         lambda study: _premise(
-            ordered(study, "boxing_final", DUELING, [DOUBLE], 1),
+            compare_agents(study, "boxing_final", DUELING, [DOUBLE], 1),
             "Double DQN is the same agent without the streams, and with half the weights",
         ),
     ),
@@ -275,13 +282,13 @@ GOALS = (
         "Comparable data for three agents and two games",
         "reached",
         ("boxing_final", "breakout_final"),
-        lambda study: finished(study, ["boxing_final", "breakout_final"]),
+        lambda study: runs_finished(study, ["boxing_final", "breakout_final"]),
     ),
     Claim(
         "How hyper-parameters change performance",
         "reached; it shows runs for the discount only",
         ("boxing_sensitivity", "boxing_low_gamma", "boxing_high_gamma"),
-        lambda study: finished(
+        lambda study: runs_finished(
             study, ["boxing_sensitivity", "boxing_low_gamma", "boxing_high_gamma"]
         ),
     ),
@@ -289,7 +296,7 @@ GOALS = (
         "How well transfer from Breakout to Boxing works",
         "reached",
         ("boxing_transfer", "boxing_transfer_controls"),
-        lambda study: finished(study, ["boxing_transfer", "boxing_transfer_controls"]),
+        lambda study: runs_finished(study, ["boxing_transfer", "boxing_transfer_controls"]),
     ),
 )
 REACHED = {SUPPORTED: "reached", CONTRADICTED: "not reached"}  # what a verdict on a goal is called

@@ -4,7 +4,14 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
-MARKS = (500, 1000, 1500, 2000, 2500, 3000)  # games, at which the source report gives its scores
+MILESTONES = (
+    500,
+    1000,
+    1500,
+    2000,
+    2500,
+    3000,
+)  # games; the source report has scores at each
 
 
 def trailing_mean(scores: pd.Series, window: int) -> pd.Series:
@@ -109,18 +116,20 @@ def welch_interval(
     return gap - half, gap + half
 
 
-def scores_at_marks(episodes: pd.DataFrame, marks: tuple[int, ...], window: int) -> pd.DataFrame:
-    """Mean score of the `window` games up to each mark, a row an agent and seed.
+def scores_at_milestones(
+    episodes: pd.DataFrame, milestones: tuple[int, ...], window: int
+) -> pd.DataFrame:
+    """Mean score of the `window` games up to each milestone, a row an agent and seed.
 
-    A mark that a run has not reached is missing (nan).
+    A milestone that a run has not reached is missing (nan).
     """
     rows = {}
     for key, games in episodes.groupby(["agent", "seed"], sort=False):
         scores = games.set_index("episode").score
         rows[key] = [
-            scores.loc[max(1, mark - window + 1) : mark].mean() if mark in scores.index else np.nan
-            for mark in marks
+            scores.loc[max(1, last - window + 1) : last].mean() if last in scores.index else np.nan
+            for last in milestones
         ]
-    table = pd.DataFrame.from_dict(rows, orient="index", columns=list(marks))
+    table = pd.DataFrame.from_dict(rows, orient="index", columns=list(milestones))
     table.index = pd.MultiIndex.from_tuples(table.index, names=["agent", "seed"])
     return table

@@ -8,7 +8,7 @@ import pandas as pd
 from ruamel.yaml import YAML
 
 from atari_dqn import params
-from atari_dqn.analysis.statistics import MARKS
+from atari_dqn.analysis.statistics import MILESTONES
 from atari_dqn.games import GAMES, GameFacts
 from atari_dqn.params import ParameterError, Parameters
 from atari_dqn.runs import plan
@@ -60,9 +60,9 @@ class Section:
         self.slug = experiment.replace("_", "-")  # what this section's labels hold
         folder = results_folder(profile, results_dir)
         self.runs = runs_of(self.params, folder)
-        # How many games a point of a learning curve, and a number at a mark, is the mean of.
+        # How many games a point of a learning curve, and a number at a milestone, is the mean of.
         self.curve_window = max(1, self.params.episodes // 30)
-        self.mark_window = max(1, self.params.episodes // len(MARKS))
+        self.milestone_window = max(1, self.params.episodes // len(MILESTONES))
 
     @cached_property
     def usable(self) -> list[Run]:
@@ -136,7 +136,7 @@ class Section:
         return table if table.empty else table[table.trained_games >= self.params.episodes]
 
     @property
-    def usual(self) -> bool:
+    def default_difficulty(self) -> bool:
         """Whether the game is played as others have played it, so that scores compare."""
         return self.params.difficulty == 0
 

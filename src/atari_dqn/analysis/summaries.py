@@ -4,7 +4,7 @@ import pandas as pd
 
 from atari_dqn import params
 from atari_dqn.analysis.claims import FINDINGS, findings
-from atari_dqn.analysis.statistics import MARKS, trailing_mean
+from atari_dqn.analysis.statistics import MILESTONES, trailing_mean
 from atari_dqn.analysis.study import Section, Study, data
 from atari_dqn.analysis.verdicts import NOT_YET
 
@@ -45,7 +45,7 @@ def headline(study: Study) -> str:
 def _window(section: Section) -> int:
     """How many games a present score is the mean of: of finished runs as many as the claims are
     about."""
-    return section.mark_window if section.complete else min(RECENT, section.params.episodes)
+    return section.milestone_window if section.complete else min(RECENT, section.params.episodes)
 
 
 def _recent(section: Section) -> tuple[int, pd.Series]:
@@ -174,7 +174,7 @@ def _progress(section: Section, games: pd.DataFrame) -> str:
         f"{games.epsilon.iloc[-1]:.0%} of its actions being random"
     )
     above = means[means > human]
-    if len(above) and section.usual:
+    if len(above) and section.default_difficulty:
         text += f"; the mean of {window} games first passed the human {human:g} after game "
         text += f"{above.index[0]:,}"
     fall = (means.cummax() - means).max()
@@ -196,16 +196,16 @@ def _without_exploring(evaluated: pd.DataFrame, checks: pd.DataFrame) -> str:
 
 
 def beside_source(section: Section) -> str:
-    """The scores of the source report beside ours, at the last mark that both have; empty if there
-    is none."""
+    """The scores of the source report beside ours, at the last milestone that both have; empty if
+    there is none."""
     source, said, less = data("source_report"), [], False
     theirs = source.get(section.params.experiment, {})
-    for agent, marks in theirs.items() if section.params.episodes == MARKS[-1] else ():
-        for mark, score in reversed(list(zip(source["marks"], marks, strict=True))):
-            first = mark - section.mark_window + 1
-            ours = section.scores(agent, first, mark)
+    for agent, milestones in theirs.items() if section.params.episodes == MILESTONES[-1] else ():
+        for milestone, score in reversed(list(zip(source["marks"], milestones, strict=True))):
+            first = milestone - section.milestone_window + 1
+            ours = section.scores(agent, first, milestone)
             if score is not None and len(ours):
-                games = f"games {first:,} to {mark:,}"
+                games = f"games {first:,} to {milestone:,}"
                 said.append(f"{params.title(agent)} {ours.mean():.1f} and {score:.1f} ({games})")
                 less |= ours.mean() < score
                 break

@@ -54,7 +54,7 @@ def all_of(verdicts: list[Verdict]) -> Verdict:
     return Verdict(worst, "; ".join(evidence))
 
 
-def above(section: Section, agent: str, first: int, last: int, score: float) -> Verdict:
+def exceeds(section: Section, agent: str, first: int, last: int, score: float) -> Verdict:
     """That an agent's games `first` to `last` score more than `score` on average."""
     scores = section.scores(agent, first, last)
     if not _enough(section, scores):
@@ -67,7 +67,7 @@ def above(section: Section, agent: str, first: int, last: int, score: float) -> 
     return Verdict(_side(low - score, high - score), f"{said} against {score:g}")
 
 
-def better(
+def compare_scores(
     sections: tuple[Section, Section],
     agents: tuple[str, str],
     first: int,
@@ -140,44 +140,48 @@ def _side(low: float, high: float) -> str:
 def _last(section: Section) -> tuple[int, int]:
     """The games that a final score is the mean of."""
     episodes = section.params.episodes
-    return episodes - section.mark_window + 1, episodes
+    return episodes - section.milestone_window + 1, episodes
 
 
-def _mark(section: Section, number: int) -> tuple[int, int]:
-    """The games up to the `number`-th mark (1 to 6)."""
-    return (number - 1) * section.mark_window + 1, number * section.mark_window
+def _milestone(section: Section, number: int) -> tuple[int, int]:
+    """The games up to the `number`-th milestone (1 to 6)."""
+    return (number - 1) * section.milestone_window + 1, number * section.milestone_window
 
 
 def human_level(
-    study: Study, experiment: str, agents: list[str] | None = None, mark: int = 6
+    study: Study, experiment: str, agents: list[str] | None = None, milestone: int = 6
 ) -> Verdict:
-    """The agents of an experiment, by default all, exceed the human reference at a mark."""
+    """The agents of an experiment, by default all, exceed the human reference at a milestone."""
     section = study[experiment]
     return all_of(
         [
-            above(section, agent, *_mark(section, mark), section.facts.human)
+            exceeds(section, agent, *_milestone(section, milestone), section.facts.human)
             for agent in agents or section.params.agents
         ]
     )
 
 
-def ordered(study: Study, experiment: str, best: str, others: list[str], mark: int) -> Verdict:
-    """One agent is better than each of the others at a mark."""
+def compare_agents(
+    study: Study, experiment: str, best: str, others: list[str], milestone: int
+) -> Verdict:
+    """One agent is better than each of the others at a milestone."""
     section = study[experiment]
-    games = _mark(section, mark)
-    return all_of([better((section, section), (best, other), *games) for other in others])
+    games = _milestone(section, milestone)
+    return all_of([compare_scores((section, section), (best, other), *games) for other in others])
 
 
-def between(
-    study: Study, first: str, second: str, mark: int | None = None, **how: Any
+def compare_training(
+    study: Study, first: str, second: str, milestone: int | None = None, **how: Any
 ) -> list[Verdict]:
-    """That an agent scores more in the first experiment than in the second, up to a mark of the
-    longer one or at the last games of the shorter: a verdict for every agent. `how` is for
-    `better`."""
+    """That an agent scores more in the first experiment than in the second, up to a milestone of
+    the longer one or at the last games of the shorter: a verdict for every agent. `how` is for
+    `compare_scores`."""
     pair = (study[first], study[second])
     shorter, longer = sorted(pair, key=lambda section: section.params.episodes)
-    games = _last(shorter) if mark is None else _mark(longer, mark)
-    return [better(pair, (agent, agent), *games, **how) for agent in _shared(pair)] or [_ALONE]
+    games = _last(shorter) if milestone is None else _milestone(longer, milestone)
+    return [compare_scores(pair, (agent, agent), *games, **how) for agent in _shared(pair)] or [
+        _ALONE
+    ]
 
 
 _ALONE = Verdict(NOT_YET, "no agent is trained both ways")  # as in the small profiles
@@ -187,7 +191,9 @@ def _shared(pair: tuple[Section, Section]) -> list[str]:
     return [agent for agent in pair[0].params.agents if agent in pair[1].params.agents]
 
 
-def greedy(study: Study, first: str, second: str, column: str = "score") -> list[Verdict]:
+def compare_evaluations(
+    study: Study, first: str, second: str, column: str = "score"
+) -> list[Verdict]:
     """That an agent's greedy games after training in the first experiment have more of something
     than those after training in the second: a verdict for every agent."""
     pair = (study[first], study[second])
@@ -224,7 +230,7 @@ def _distinct(games: pd.DataFrame) -> int:
     return len(games.drop_duplicates(["seed", "score", "length", "distance"]))
 
 
-def learning(study: Study, first: str, second: str) -> list[Verdict]:
+def compare_greedy_checks(study: Study, first: str, second: str) -> list[Verdict]:
     """That an agent learns more in the first experiment than in the second: what it scores greedily
     every hundred games, for as long as the shorter one trains, after the same games of training."""
     pair = (study[first], study[second])
@@ -274,7 +280,7 @@ def overestimation(study: Study, experiment: str) -> Verdict:
     )
 
 
-def steadier(study: Study, steady: str, unsteady: str, agent: str) -> Verdict:
+def compare_steadiness(study: Study, steady: str, unsteady: str, agent: str) -> Verdict:
     """An agent's curve is smoother in the first experiment than in the second, over the games of
     the second: how far each block of games is from the middle of its neighbours (points, squared),
     less what the luck of its games explains."""
@@ -306,8 +312,8 @@ def beaten_everywhere(study: Study) -> Verdict:
     section = study["boxing_final"]
     games = section.final_evaluations
     if not games.empty:
-        usual = games.epsilon == section.params.evaluation_epsilon
-        games = games[(games.agent == DUELING) & (games.sticky_actions == 0) & usual]
+        as_trained = games.epsilon == section.params.evaluation_epsilon
+        games = games[(games.agent == DUELING) & (games.sticky_actions == 0) & as_trained]
     sizes = pd.Series() if games.empty else games.groupby("difficulty").size()
     played = int((sizes > 1).sum())
     if played < 4:
@@ -333,7 +339,7 @@ def negated(verdict: Verdict) -> Verdict:
     return Verdict(opposite.get(verdict.verdict, verdict.verdict), verdict.evidence)
 
 
-def finished(study: Study, names: list[str]) -> Verdict:
+def runs_finished(study: Study, names: list[str]) -> Verdict:
     """An aim that is reached when its runs are there."""
     sections = [study[name] for name in names]
     share = np.mean([section.share for section in sections])

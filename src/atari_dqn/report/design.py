@@ -13,10 +13,10 @@ from torch import nn
 from atari_dqn import params
 from atari_dqn.agents import AGENTS
 from atari_dqn.analysis.study import data
-from atari_dqn.envs import AtariGame
+from atari_dqn.envs import AtariEnv
 from atari_dqn.games import GAMES
 from atari_dqn.params import Parameters
-from atari_dqn.replay import PIXELS, FrameCodec
+from atari_dqn.replay import PIXELS, ImageCodec
 
 RARE = {
     *("warmup_games", "warmup_learning_rate", "initial_weights", "freeze_convolutions"),
@@ -126,9 +126,9 @@ def _rounded(count: float) -> str:
 
 def _compressed_sizes(name: str, images: int) -> list[int]:
     """Bytes of every image of a game of random play, compressed as the replay memory does."""
-    game, rng = AtariGame(name), np.random.default_rng(0)
+    game, rng = AtariEnv(name), np.random.default_rng(0)
     image, _ = game.reset(seed=0)
-    codec = FrameCodec(image.tobytes())
+    codec = ImageCodec(image.tobytes())
     sizes = []
     for _ in range(images):
         image, _, terminated, truncated, _ = game.step(int(rng.integers(len(game.actions))))
@@ -200,7 +200,7 @@ def deviations() -> pd.DataFrame:
 
 
 def source_scores() -> pd.DataFrame:
-    """The source report's mean scores at its marks, a row a game and agent."""
+    """The source report's mean scores at its milestones, a row a game and agent."""
     source = data("source_report")
     return pd.DataFrame(
         [

@@ -1,4 +1,4 @@
-"""Labelled output of the report's notebooks: text, figures, tables and films.
+"""Labelled output of the report's notebooks: text, figures, tables and videos.
 
 Each carries its caption, label, text alternative and origin with it, in the notebook's own output,
 from where `report` takes them into HTML and PDF.
@@ -15,8 +15,8 @@ from matplotlib_inline.backend_inline import set_matplotlib_formats
 
 from atari_dqn.report import plots
 
-if TYPE_CHECKING:  # what plays and draws films takes seconds to import
-    from atari_dqn.report.video import Film
+if TYPE_CHECKING:  # what plays and draws videos takes seconds to import
+    from atari_dqn.report.video import Video
 
 
 def start() -> None:
@@ -36,7 +36,7 @@ def show_absent(label: str, why: str) -> None:
     show_text(f"::: {{#{label} .absent}}\n{why}\n:::")
 
 
-def hold_places(*labels: str) -> None:
+def show_placeholders(*labels: str) -> None:
     """Holds the places of figures and tables without a word, where a badge has said it all."""
     show_text(" ".join(f"[]{{#{label} .absent}}" for label in labels))
 
@@ -59,19 +59,19 @@ def show_figure(
     plt.close(figure)
 
 
-def show_film(film: "Film", label: str, caption: str, alt: str, data: str = "") -> None:
-    """Shows a film on the page; on paper, a strip of its pictures. `label` is vid-..."""
+def show_video(video: "Video", label: str, caption: str, alt: str, data: str = "") -> None:
+    """Shows a video on the page; on paper, a strip of its pictures. `label` is vid-..."""
     meta = {
         "label": label,
         "caption": caption,
         "alt": alt,
         "data": data,
-        "video": base64.b64encode(film.video).decode(),
-        "poster": base64.b64encode(film.poster).decode(),
+        "video": base64.b64encode(video.mp4).decode(),
+        "poster": base64.b64encode(video.poster).decode(),
     }
     bundle = {
         "text/html": f'<video controls loop src="data:video/mp4;base64,{meta["video"]}"></video>',
-        "image/png": base64.b64encode(film.strip).decode(),  # what the report is made from
+        "image/png": base64.b64encode(video.strip).decode(),  # what the report is made from
     }
     display(bundle, metadata={"image/png": meta}, raw=True)
 

@@ -13,7 +13,7 @@ from matplotlib.patheffects import withStroke
 
 from atari_dqn import params
 from atari_dqn.analysis.statistics import trailing_mean
-from atari_dqn.envs import AtariGame
+from atari_dqn.envs import AtariEnv
 from atari_dqn.games import GAMES, GameFacts
 
 _COLOURS = sns.color_palette("colorblind")
@@ -220,7 +220,7 @@ def preprocessing(games: list[str]) -> Figure:
     widths = {"width_ratios": [1.1, 1, 1, 1, 1]}
     figure, rows = plt.subplots(len(games), 5, figsize=size, gridspec_kw=widths)
     for axes, name in zip(rows, games, strict=True):
-        game = AtariGame(name)
+        game = AtariEnv(name)
         images = [game.reset(seed=1)[0]]
         for action in np.random.default_rng(0).integers(len(game.actions), size=60):
             images.append(game.step(int(action))[0])

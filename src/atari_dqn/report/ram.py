@@ -13,7 +13,7 @@ import seaborn as sns
 from matplotlib import pyplot as plt
 from matplotlib.figure import Figure
 
-from atari_dqn.envs import AtariGame
+from atari_dqn.envs import AtariEnv
 from atari_dqn.games import GAMES, boxing_points
 from atari_dqn.report.plots import WIDTH
 
@@ -51,7 +51,7 @@ class Punch(NamedTuple):
 def scoring_punches(games: int, seed: int = 0) -> Iterator[tuple[Punch, np.ndarray]]:
     """Plays games with random actions; yields every punch that scores, of either boxer, and the
     picture at that moment, uint8 [210, 160, 3]."""
-    game, rng = AtariGame("boxing", frame_skip=1), np.random.default_rng(seed)
+    game, rng = AtariEnv("boxing", frame_skip=1), np.random.default_rng(seed)
     agent, computer = BOXERS.values()
     for number in range(games):
         game.reset(seed=seed + number)
@@ -105,7 +105,7 @@ def first_difference(game: str, sticky_actions: float, steps: int) -> int | None
 
     Returns the first agent step after which the two memories differ, None if they never do.
     """
-    pair = [AtariGame(game, noop_max=0, sticky_actions=sticky_actions) for _ in range(2)]
+    pair = [AtariEnv(game, noop_max=0, sticky_actions=sticky_actions) for _ in range(2)]
     for seed, one in enumerate(pair):
         one.reset(seed=seed)
     actions = np.random.default_rng(0).integers(len(pair[0].actions), size=steps)

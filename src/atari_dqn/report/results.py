@@ -1,4 +1,4 @@
-"""The exhibits that every section about an experiment has: curves, marks, evaluation, values."""
+"""The figures and tables that every section about an experiment has."""
 
 from collections.abc import Iterable
 from typing import Any
@@ -7,18 +7,24 @@ import numpy as np
 import pandas as pd
 
 from atari_dqn import params
-from atari_dqn.analysis.statistics import MARKS, interval, scores_at_marks, with_interval
+from atari_dqn.analysis.statistics import MILESTONES, interval, scores_at_milestones, with_interval
 from atari_dqn.analysis.study import Section, data
 from atari_dqn.params import HELD_OUT_STATES, VALUE_GAMES, VALUES_PERIOD
 from atari_dqn.report import plots
-from atari_dqn.report.outputs import hold_places, show_absent, show_figure, show_table, show_text
+from atari_dqn.report.outputs import (
+    show_absent,
+    show_figure,
+    show_placeholders,
+    show_table,
+    show_text,
+)
 
 
 def show_curves(section: Section) -> None:
     """The learning curves of the section's runs, as far as they have come."""
     label, window, facts = f"fig-{section.slug}-curves", section.curve_window, section.facts
     if section.episodes.empty:
-        hold_places(label)
+        show_placeholders(label)
         return
     if section.episodes.episode.max() < window:
         show_absent(
@@ -29,7 +35,7 @@ def show_curves(section: Section) -> None:
     published = data("published")
     points = {"frames": published["frames"], **published.get(game, {})}
     figure, hover = plots.learning_curves(
-        section.episodes, facts, window, points if section.usual else None
+        section.episodes, facts, window, points if section.default_difficulty else None
     )
     references = " Dotted: a human tester and random play"
     if game in published:
@@ -40,7 +46,9 @@ def show_curves(section: Section) -> None:
         caption=f"{facts.title}, `{section.params.experiment}`: raw score while training, with "
         f"exploration, against games, frames and hours (by the clock, on a machine that had other "
         f"work at times); each point is the mean of the last {window} games "
-        f"({section.counted()}). Without sticky actions." + f"{references}." * section.usual,
+        f"({section.counted()}). Without sticky actions."
+        + f"{references}."
+        * section.default_difficulty,
         alt=f"Learning curves of the agents in {facts.title}: mean score against games played, "
         "frames and hours.",
         data=section.origin + "episodes.csv and timing.csv",
@@ -48,28 +56,32 @@ def show_curves(section: Section) -> None:
     )
 
 
-def show_marks(section: Section) -> None:
-    """The mean score of the last games at each mark that a run has reached, and the source
+def show_milestones(section: Section) -> None:
+    """The mean score of the last games at each milestone that a run has reached, and the source
     report's."""
     label = f"tbl-{section.slug}-marks"
-    step = section.params.episodes / len(MARKS)
-    marks = tuple(dict.fromkeys(round(step * (index + 1)) for index in range(len(MARKS))))
+    step = section.params.episodes / len(MILESTONES)
+    milestones = tuple(dict.fromkeys(round(step * (index + 1)) for index in range(len(MILESTONES))))
     if section.episodes.empty:
-        hold_places(label)
+        show_placeholders(label)
         return
-    if section.episodes.episode.max() < marks[0]:
-        show_absent(label, f"A table of mean scores follows after the first {marks[0]:,} games.")
+    if section.episodes.episode.max() < milestones[0]:
+        show_absent(
+            label, f"A table of mean scores follows after the first {milestones[0]:,} games."
+        )
         return
-    ours = scores_at_marks(section.episodes, marks, section.mark_window).reset_index()
+    ours = scores_at_milestones(
+        section.episodes, milestones, section.milestone_window
+    ).reset_index()
     ours["seed"] = [f"ours, seed {seed}" for seed in ours.seed]
     tables = [ours]
     source = data("source_report")
-    theirs = source.get(section.params.experiment, {}) if marks == MARKS else {}
+    theirs = source.get(section.params.experiment, {}) if milestones == MILESTONES else {}
     for agent, scores in theirs.items():
         row = dict(zip(source["marks"], scores, strict=True))
         tables.append(pd.DataFrame([{"agent": agent, "seed": "source report", **row}]))
     table = pd.concat(tables).sort_values("agent", key=_rank, kind="stable").astype({"seed": str})
-    table[list(marks)] = table[list(marks)].astype(float)
+    table[list(milestones)] = table[list(milestones)].astype(float)
     table["agent"] = table.agent.map(params.title)
     facts = section.facts
     show_table(
@@ -78,7 +90,7 @@ def show_marks(section: Section) -> None:
         caption=f"{facts.title}, `{section.params.experiment}`: mean raw score of "
         f"{section.mark_window} games up to each number of games played ({section.counted()})."
         + f" Human {facts.human:g}, random play {facts.random:g} [@dqnzoo2020]."
-        * section.usual,
+        * section.default_difficulty,
     )
 
 
@@ -92,7 +104,7 @@ def show_evaluations(section: Section) -> None:
     if section.evaluations.empty:
         if not section.episodes.empty:
             show_text("*No agent has been evaluated yet.*")
-        hold_places(figure, table)
+        show_placeholders(figure, table)
         return
     games = section.evaluations.groupby(["agent", "seed"]).size().min()
     p = section.params
@@ -129,7 +141,7 @@ def show_conditions(section: Section) -> None:
     if not played.empty:
         played = played[played.epsilon == p.evaluation_epsilon]
     if played.empty or len(played[keys[2:]].drop_duplicates()) < 2:
-        hold_places(label)
+        show_placeholders(label)
         return
     rows = []
     for (agent, seed, difficulty, sticky), games in played.groupby(keys, sort=False):
@@ -165,7 +177,7 @@ def show_discounts(sections: list[Section], agent: str, label: str) -> None:
     window, facts = sections[0].curve_window, sections[0].facts
     curves = [curve for curve in curves if len(curve) >= window]
     if len(curves) < 2:
-        hold_places(label)
+        show_placeholders(label)
         return
     show_figure(
         plots.comparison(pd.concat(curves), facts, window, "variation"),
@@ -203,7 +215,7 @@ def show_values(section: Section) -> None:
     """Predicted against realised values: what overestimation is measured by."""
     label = f"fig-{section.slug}-values"
     if section.values.empty:
-        hold_places(label)
+        show_placeholders(label)
         return
     show_figure(
         plots.value_errors(section.values),
@@ -226,7 +238,7 @@ def show_variations(section: Section, reference: Section, agent: str) -> None:
     games, window = section.params.episodes, section.curve_window
     sweep = section.episodes
     if sweep.empty or sweep.episode.max() < window:
-        hold_places(figure, table)
+        show_placeholders(figure, table)
         return
     unchanged = reference.episodes
     if not unchanged.empty:
@@ -274,7 +286,7 @@ LOWEST = -100.0  # points, the worst that a game of Boxing can end with
 
 def show_transfer(transferred: Section, scratch: Section) -> None:
     """What starting from another game's agent is worth (Taylor and Stone, 2009)."""
-    label, window = "tbl-transfer", transferred.mark_window
+    label, window = "tbl-transfer", transferred.milestone_window
     rows = []
     for agent in transferred.params.agents:
         pair = (transferred, scratch)
@@ -294,7 +306,7 @@ def show_transfer(transferred: Section, scratch: Section) -> None:
             }
         )
     if not rows:
-        hold_places(label)
+        show_placeholders(label)
         return
     show_table(
         pd.DataFrame(rows),

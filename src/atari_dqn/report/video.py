@@ -1,4 +1,4 @@
-"""Films of greedy games with live instruments: what the network sees, and what it makes of it.
+"""Videos of greedy games with live instruments: what the network sees, and what it makes of it.
 
 A game is played once to record it, exactly as `evaluation.play` does, so that it is the game of
 evaluations.csv. Then the emulator alone plays the recorded actions again while the pictures are
@@ -27,8 +27,8 @@ from matplotlib.ticker import MaxNLocator
 from PIL import Image, ImageDraw, ImageFont
 from torch import nn
 
-from atari_dqn.envs import SIZE, AtariGame, game_of, interleave
-from atari_dqn.evaluation import PlayedGame, Player, Table, player_of, q_of
+from atari_dqn.envs import SIZE, AtariEnv, interleave, make_env
+from atari_dqn.evaluation import EpisodeInProgress, EvaluationEpisode, Player, player_of, q_of
 from atari_dqn.networks import DuelingNetwork
 from atari_dqn.params import Parameters
 from atari_dqn.report import plots
@@ -38,7 +38,7 @@ Seconds = tuple[float | None, float | None]  # of the game, as in a slice: (None
 Colour = tuple[int, int, int]  # red, green, blue
 
 WIDTH, MARGIN, TOP = 720, 16, 48  # pixels; the television pictures begin at TOP
-RIGHT, GAP = 352, 4  # pixels; the right column of a film with instruments, between its images
+RIGHT, GAP = 352, 4  # pixels; the right column of a video with instruments, between its images
 PACE = 2  # pixels a trace moves on every step; whole, so that the encoder can copy what was there
 STRIP = 6  # pictures of a strip
 
@@ -57,13 +57,13 @@ if torch.backends.cpu.get_cpu_capability() == "AVX512":
 
 
 @dataclass(frozen=True)
-class Film:
-    """A film, and what stands for it where it cannot be played."""
+class Video:
+    """A video, and what stands for it where it cannot be played."""
 
-    video: bytes  # MP4 (H.264): a picture an agent step; the game's last is held for a second
+    mp4: bytes  # H.264: a picture an agent step; the game's last is held for a second
     poster: bytes  # PNG, a telling picture of it
     strip: bytes  # PNG for paper: evenly spaced moments, and the values from first to last
-    games: tuple[PlayedGame, ...]  # one a contestant
+    games: tuple[EvaluationEpisode, ...]  # one a contestant
 
 
 def play_with_instruments(
@@ -73,12 +73,12 @@ def play_with_instruments(
     seed: int,
     game: int,
     seconds: Seconds = (None, None),
-) -> Film:
-    """Plays game number `game` as `evaluation.play` would, and films it with its instruments.
+) -> Video:
+    """Plays game number `game` as `evaluation.play` would, and records it with its instruments.
 
     `seconds` cuts an excerpt.
     """
-    return _film({title: _record(network, params, seed, game)}, seconds)
+    return _video({title: _record(network, params, seed, game)}, seconds)
 
 
 def side_by_side(
@@ -86,16 +86,16 @@ def side_by_side(
     seed: int,
     game: int,
     seconds: Seconds = (None, None),
-) -> Film:
-    """Lets every contestant (by name) play the same game, and films them side by side.
+) -> Video:
+    """Lets every contestant (by name) play the same game, and records them side by side.
 
-    The film is as long as the longest game; the others wait with their last pictures, dimmed.
+    The video is as long as the longest game; the others wait with their last pictures, dimmed.
     """
     recordings = {
         name: _record(network, params, seed, game)
         for name, (network, params) in contestants.items()
     }
-    return _film(recordings, seconds)
+    return _video(recordings, seconds)
 
 
 @dataclass(frozen=True)
@@ -103,7 +103,7 @@ class _Recording:
     """A game of T steps, A actions."""
 
     params: Parameters
-    result: PlayedGame
+    result: EvaluationEpisode
     symbol: str  # what `values` are: V(s) or max Q
     actions: np.ndarray  # int [T]
     q_values: np.ndarray  # float32 [T, A]
@@ -115,9 +115,9 @@ class _Recording:
         """Steps a second."""
         return Fraction(60, self.params.frame_skip)
 
-    def replay(self) -> Iterator[Table]:
+    def replay(self) -> Iterator[EpisodeInProgress]:
         """The game before every step, and at the end."""
-        table = Table(self.params)
+        table = EpisodeInProgress(self.params)
         table.start(self.result.game, self.result.seed)
         yield table
         for action in self.actions:
@@ -126,7 +126,7 @@ class _Recording:
 
 
 def _record(network: nn.Module, params: Parameters, seed: int, game: int) -> _Recording:
-    table, ended = Table(params), False
+    table, ended = EpisodeInProgress(params), False
     table.start(game, seed)
     player = player_of(network, params)
     decisions, scores = [], [0.0]
@@ -159,8 +159,8 @@ def _q_and_value(
     return q_value, float(said[0][0, 0])
 
 
-def _film(recordings: dict[str, _Recording], seconds: Seconds) -> Film:
-    """Films one game with its instruments, or several side by side."""
+def _video(recordings: dict[str, _Recording], seconds: Seconds) -> Video:
+    """A video of one game with its instruments, or of several side by side."""
     games = list(recordings.values())
     rate, longest = games[0].rate, max(len(game.actions) for game in games)
     if any(game.rate != rate for game in games):
@@ -185,12 +185,12 @@ def _film(recordings: dict[str, _Recording], seconds: Seconds) -> Film:
             for _ in range(1 + round(rate) if step == longest else 1):
                 yield stage.canvas
 
-    video = _encoded(drawn(), rate)
+    mp4 = _encoded(drawn(), rate)
     strip = _strip(recordings, kept, steps)
-    return Film(video, poster, strip, tuple(game.result for game in games))
+    return Video(mp4, poster, strip, tuple(game.result for game in games))
 
 
-def television(games: Iterator[AtariGame]) -> bytes:
+def television(games: Iterator[AtariEnv]) -> bytes:
     """MP4 of what the television shows of a game that is being played, three times as large."""
     game = next(games)
 
@@ -204,7 +204,7 @@ def television(games: Iterator[AtariGame]) -> bytes:
 def _encoded(pictures: Iterator[np.ndarray], rate: Fraction) -> bytes:
     """MP4 (H.264) of pictures uint8 [height, width, 3], `rate` a second."""
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder, "film.mp4")  # a file, as its index is moved to the front in the end
+        path = Path(folder, "video.mp4")  # a file, as its index is moved to the front in the end
         with av.open(str(path), "w", format="mp4", options={"movflags": "faststart"}) as container:
             stream = container.add_stream("libx264", rate=rate, options=ENCODER)
             stream.pix_fmt = "yuv420p"
@@ -270,7 +270,7 @@ class _Stage:
 class _Column:
     """A game's name, television, score, clock and the trace of its value.
 
-    All traces of a film have the same axis throughout. Triangles are points: upright ones at the
+    All traces of a video have the same axis throughout. Triangles are points: upright ones at the
     top won, inverted ones at the bottom lost.
     """
 
@@ -303,7 +303,7 @@ class _Column:
         """The row of a value (or several); the edges are for the marks of points."""
         return 12 + (self.high - value) / (self.high - self.low) * (self.trace.shape[0] - 25)
 
-    def draw(self, table: Table, step: int) -> None:
+    def draw(self, table: EpisodeInProgress, step: int) -> None:
         game, width = self.game, self.view.shape[1]
         size, doubled = self.screen.shape[1::-1], table.emulator.render().repeat(2, 0).repeat(2, 1)
         self.picture = cv2.resize(doubled, size, interpolation=cv2.INTER_AREA)
@@ -360,7 +360,7 @@ class _Mind:
         self.shares = (game.q_values - means) / full
         _write(view, f"±{full:.2g}", view.shape[1], TOP + SIZE + 34, 16, SOFT, align=1)
         self.random = game.actions != game.q_values.argmax(axis=1)
-        self.names = [_words(action.name) for action in game_of(game.params).actions]
+        self.names = [_words(action.name) for action in make_env(game.params).actions]
         self.pitch = min(60, self.bars.shape[0] // len(self.names))
         self.left = 10 + max(_glyphs(name, 17).shape[1] for name in self.names)
         self.reach = (view.shape[1] - self.left) // 2
@@ -374,7 +374,7 @@ class _Mind:
     def _baseline(self, row: int) -> int:
         return row * self.pitch + self.pitch // 2 + 6
 
-    def draw(self, table: Table, step: int) -> None:
+    def draw(self, table: EpisodeInProgress, step: int) -> None:
         for number, image in enumerate(table.planes.reshape(-1, SIZE, SIZE)):
             x = number * (self.side + GAP)
             small = cv2.resize(image, (self.side, self.side), interpolation=cv2.INTER_AREA)

@@ -1,4 +1,4 @@
-"""The films that the report shows: of which runs, which games, and what their captions say."""
+"""The videos that the report shows: of which runs, which games, and what their captions say."""
 
 from pathlib import Path
 from typing import Any
@@ -9,25 +9,24 @@ from torch import nn
 from atari_dqn import params
 from atari_dqn.agents import AGENTS
 from atari_dqn.analysis.study import Section
-from atari_dqn.report import video
-from atari_dqn.report.outputs import hold_places, show_absent, show_film
-from atari_dqn.report.video import Film
+from atari_dqn.report.outputs import show_absent, show_placeholders, show_video
+from atari_dqn.report.video import Video, play_with_instruments, side_by_side
 from atari_dqn.runs import models
 from atari_dqn.runs.files import RunError, write_atomically
 from atari_dqn.runs.models import load_model, stored_agent
 from atari_dqn.runs.run import Run
 
 LATE = 3  # times the training games of an early model make a late one
-GAME = 0  # the number of the evaluation game that is filmed, where nothing decides otherwise
-ALT = "A film of {}: the game, what the network sees, the value of every action and the score."
+GAME = 0  # the number of the evaluation game that is recorded, where nothing decides otherwise
+ALT = "A video of {}: the game, what the network sees, the value of every action and the score."
 
 
 def _network(run: Run, games: int) -> nn.Module:
     return load_model(models.stored(run)[games], run.params)
 
 
-def _scored(film: Film) -> str:
-    *first, last = (f"{game.score:g}" for game in film.games)
+def _scored(video: Video) -> str:
+    *first, last = (f"{game.score:g}" for game in video.games)
     listed = f"{', '.join(first)} and {last}" if first else last
     return f"{listed} points".replace("-", "−")
 
@@ -50,19 +49,19 @@ def show_best(section: Section, label: str, seconds: int) -> None:
     """The first seconds of a game by the run that scored best of late."""
     stored = [(run, games) for run, games in _newest(section) if games]
     if not stored:
-        hold_places(label)
+        show_placeholders(label)
         return
     recent = section.episodes.groupby(["agent", "seed"]).tail(100)
     means = recent.groupby(["agent", "seed"]).score.mean()
     run, games = max(stored, key=lambda item: means[item[0].agent, item[0].seed])
     network = _network(run, games)
     title = f"{params.title(run.agent)}, {games:,} games"
-    film = video.play_with_instruments(network, run.params, title, run.seed, GAME, (None, seconds))
-    show_film(
-        film,
+    video = play_with_instruments(network, run.params, title, run.seed, GAME, (None, seconds))
+    show_video(
+        video,
         label=label,
         caption=f"{params.title(run.agent)} after {games:,} training games: the first {seconds} "
-        f"seconds of a bout that ends with {_scored(film)}. On the page: what the network sees, "
+        f"seconds of a bout that ends with {_scored(video)}. On the page: what the network sees, "
         "and the value it gives each action. On paper: the value of its best action (max Q), "
         "with a thin line at each picture.",
         alt=ALT.format(section.facts.title),
@@ -77,16 +76,16 @@ def show_early_and_late(section: Section, label: str) -> None:
         if len(stored) > 1 and max(stored) >= LATE * min(stored):
             break
     else:
-        hold_places(label)
+        show_placeholders(label)
         return
     chosen = (min(stored), max(stored))
     contestants = {f"{games:,} games": (_network(run, games), run.params) for games in chosen}
-    film = video.side_by_side(contestants, run.seed, GAME, seconds=(None, 30))
-    show_film(
-        film,
+    video = side_by_side(contestants, run.seed, GAME, seconds=(None, 30))
+    show_video(
+        video,
         label=label,
         caption=f"{params.title(run.agent)} after {chosen[0]:,} and {chosen[1]:,} training games, "
-        f"on the same game; the first 30 seconds. The bouts end with {_scored(film)}.",
+        f"on the same game; the first 30 seconds. The bouts end with {_scored(video)}.",
         alt=ALT.format(f"one agent twice in {section.facts.title}, early and late"),
         data=run.name,
     )
@@ -96,19 +95,19 @@ def show_side_by_side(section: Section, label: str) -> None:
     """Every agent's newest model on the same game."""
     newest = {run.agent: (run, games) for run, games in reversed(_newest(section))}
     if len(newest) < 2:
-        hold_places(label)
+        show_placeholders(label)
         return
     contestants = {
         f"{params.title(agent)}, {games:,}": (_network(run, games), run.params)
         for agent, (run, games) in ((name, newest[name]) for name in AGENTS if name in newest)
     }
     seed = next(iter(newest.values()))[0].seed
-    film = video.side_by_side(contestants, seed, GAME, seconds=(None, 30))
-    show_film(
-        film,
+    video = side_by_side(contestants, seed, GAME, seconds=(None, 30))
+    show_video(
+        video,
         label=label,
         caption="The agents on the same game, each with its newest model and the training games "
-        f"behind it; the first 30 seconds. The bouts end with {_scored(film)}.",
+        f"behind it; the first 30 seconds. The bouts end with {_scored(video)}.",
         alt=ALT.format(f"the agents side by side in {section.facts.title}"),
         data=section.origin,
     )
@@ -119,7 +118,7 @@ def show_knockout(section: Section, label: str) -> None:
     table = section.evaluations
     won = table[table.knockout == 1] if not table.empty else pd.DataFrame()
     if won.empty:
-        hold_places(label)
+        show_placeholders(label)
         return
     stored = {
         (run.agent, run.seed, games) for run in section.usable for games in models.stored(run)
@@ -128,7 +127,7 @@ def show_knockout(section: Section, label: str) -> None:
     shown = [place for place, key in enumerate(keys) if key in stored]
     if not shown:
         show_absent(
-            label, "A film of a knock-out follows: those so far are of weights replaced since."
+            label, "A video of a knock-out follows: those so far are of weights replaced since."
         )
         return
     game = won.iloc[shown[0]]
@@ -136,21 +135,21 @@ def show_knockout(section: Section, label: str) -> None:
     games = int(game.trained_games)
     title = f"{params.title(run.agent)}, {games:,} games"
     network, number = _network(run, games), int(game.game)
-    film = video.play_with_instruments(network, run.params, title, run.seed, number, (-15, None))
-    show_film(
-        film,
+    video = play_with_instruments(network, run.params, title, run.seed, number, (-15, None))
+    show_video(
+        video,
         label=label,
         caption=f"A knock-out by {params.title(run.agent)} after {games:,} training games: the "
-        f"last 15 seconds of evaluation game {number}, which ends with {_scored(film)}.",
+        f"last 15 seconds of evaluation game {number}, which ends with {_scored(video)}.",
         alt=ALT.format("a knock-out"),
         data=run.name,
     )
 
 
 def write_game(folder: Path, overrides: dict[str, Any], path: Path) -> None:
-    """Films the first evaluation game of a stored run's model, with `overrides` of its parameters;
-    raises what `models.stored_agent` does, or RunError if `path` cannot be written."""
+    """Makes a video of the first evaluation game of a stored run's model, with `overrides` of its
+    parameters; raises what `models.stored_agent` does, or RunError if `path` cannot be written."""
     network, parameters = stored_agent(folder, overrides)
     title, seed = params.title(parameters.agents[0]), parameters.seeds[0]
-    film = video.play_with_instruments(network, parameters, title, seed, game=0)
-    write_atomically(path, film.video)
+    video = play_with_instruments(network, parameters, title, seed, game=0)
+    write_atomically(path, video.mp4)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from atari_dqn import evaluation, params
-from atari_dqn.envs import GameRecord, learned_reward
+from atari_dqn.envs import EpisodeRecord, learned_reward
 from atari_dqn.params import Parameters
 from atari_dqn.runs import records
 from atari_dqn.runs.evaluations import evaluations_lock
@@ -84,7 +84,7 @@ def stored_parameters(folder: Path) -> Parameters:
     return params.parse(params.read_values(path), str(path))
 
 
-def outcome(parameters: Parameters, record: GameRecord) -> Facts:
+def outcome(parameters: Parameters, record: EpisodeRecord) -> Facts:
     """What a recorded game comes to when it is played again."""
     distances: list[float] = []
     for game in records.replay(parameters, record):
@@ -103,7 +103,7 @@ def outcome(parameters: Parameters, record: GameRecord) -> Facts:
     }
 
 
-def find(folder: Path, episode: int) -> GameRecord:
+def find(folder: Path, episode: int) -> EpisodeRecord:
     """The record of a training game. Raises RecordError if there is none."""
     games = [game for game in records.read_file(folder) if game[0]["kind"] == TRAINING]
     for heading, record in games:
@@ -114,7 +114,7 @@ def find(folder: Path, episode: int) -> GameRecord:
     raise RecordError(f"{folder / records.FILE} has no training game {episode}; {which}")
 
 
-def _values(parameters: Parameters, behind: list[GameRecord]) -> Facts:
+def _values(parameters: Parameters, behind: list[EpisodeRecord]) -> Facts:
     """What the greedy games behind a row of values.csv come to."""
     scores, returns = [], []
     for record in behind:

@@ -22,7 +22,13 @@ from atari_dqn.params import TRAINING_VERSION
 from atari_dqn.runs import recorder
 from atari_dqn.runs.files import RunError, write_atomically
 from atari_dqn.runs.run import Run
-from atari_dqn.runs.scheduler import left_waiting, startable, stopping_on_sigterm, take_ready, told
+from atari_dqn.runs.scheduler import (
+    error_line,
+    left_waiting,
+    startable,
+    stopping_on_sigterm,
+    take_ready,
+)
 
 CONNECT_SECONDS, STOP_POLL_SECONDS = 20, 2
 HANDOVER_SECONDS = 120  # for which a run waits until the worker that had it before lets it go
@@ -104,7 +110,7 @@ def _outcome(run: Run, future: Future) -> list[str]:
     if future.status == "cancelled":
         return [f"{run.name}: the scheduler was lost"]
     if future.status == "error":
-        return [told(run, future.exception())]
+        return [error_line(run, future.exception())]
     try:
         _store(run, future.result())
     except (OSError, RunError) as error:

@@ -10,7 +10,7 @@ from filelock import FileLock
 from tqdm import tqdm
 
 from atari_dqn import evaluation
-from atari_dqn.evaluation import PlayedGame
+from atari_dqn.evaluation import EvaluationEpisode
 from atari_dqn.runs import models, records
 from atari_dqn.runs.files import write_atomically
 from atari_dqn.training import prepare_process
@@ -44,7 +44,7 @@ def evaluations_lock(folder: Path) -> AbstractContextManager:
     return FileLock(folder / ".evaluations.lock")
 
 
-def store_evaluation(folder: Path, played: list[PlayedGame], trained_games: int) -> None:
+def store_evaluation(folder: Path, played: list[EvaluationEpisode], trained_games: int) -> None:
     """Adds games of a model, after so many games of training, to evaluations.csv and to the games
     on record, in the place of the same games of the same model and settings."""
     path, recorded = folder / "evaluations.csv", folder / records.FILE
@@ -61,7 +61,7 @@ def store_evaluation(folder: Path, played: list[PlayedGame], trained_games: int)
         write_atomically(path, table.sort_values([*settings, "game"]).to_csv(index=False).encode())
 
 
-def _heading(game: PlayedGame, trained_games: int) -> records.Heading:
+def _heading(game: EvaluationEpisode, trained_games: int) -> records.Heading:
     """What tells a game from all others of its run."""
     settings = {key: getattr(game, key) for key in records.KEYS[records.EVALUATION][1:]}
     return {"kind": records.EVALUATION, "trained_games": trained_games, **settings}

@@ -11,7 +11,7 @@ from torch import nn
 
 from atari_dqn import params
 from atari_dqn.agents import AGENTS, torch_device
-from atari_dqn.envs import game_of
+from atari_dqn.envs import make_env
 from atari_dqn.params import ParameterError, Parameters
 from atari_dqn.runs.files import RunError
 from atari_dqn.runs.run import COMPLETE, Run
@@ -36,7 +36,7 @@ def read_model(path: Path) -> dict[str, torch.Tensor]:
 
 def load_model(path: Path, parameters: Parameters) -> nn.Module:
     """The network of `parameters`' first agent with the weights in `path`."""
-    actions = len(game_of(parameters).actions)
+    actions = len(make_env(parameters).actions)
     network = AGENTS[parameters.agents[0]].network(parameters.frame_stack, actions)
     network.load_state_dict(read_model(path))
     return network.requires_grad_(False).to(torch_device(parameters.device))

@@ -98,7 +98,7 @@ def _said(run: Run) -> str:
     if source is not None:
         return f"{WAITING} for {source.params.experiment}"
     if state in (INTERRUPTED, FAILED) and not checkpoints.exist(run.state_folder):
-        return f"{state} (no checkpoint here: --anew)"
+        return f"{state} (no checkpoint here: --restart)"
     if state == FAILED:
         return f"{state} ({run.status().get('error', 'no reason stored')})"
     return state

@@ -64,7 +64,7 @@ def train(
         if before == STALE:
             raise RunError(
                 f"{run.folder} holds a run that no longer matches: {'; '.join(run.changes())}; "
-                "--anew keeps it elsewhere and begins again"
+                "--restart keeps it elsewhere and begins again"
             )
         if before == COMPLETE:
             return f"{run.name} is complete: {run.status()['episodes_done']} games"
@@ -181,7 +181,7 @@ class Recorder:
         if games > 0:
             raise RunError(
                 f"{self.run.folder} holds {games} games, but their checkpoint is not in "
-                f"{self.run.state_folder}; --anew keeps them elsewhere and begins again"
+                f"{self.run.state_folder}; --restart keeps them elsewhere and begins again"
             )
 
     def _compare_sessions(self) -> None:

@@ -22,7 +22,7 @@ from typing import Any
 
 import zstandard
 
-from atari_dqn.envs import AtariGame, GameRecord, game_of
+from atari_dqn.envs import AtariEnv, EpisodeRecord, make_env
 from atari_dqn.params import Parameters
 
 FILE = "games.jsonl.zst"
@@ -33,7 +33,7 @@ CHUNK = 4096  # bytes read at once
 
 
 Heading = dict[str, Any]  # kind, episode, ...: what tells a game from all others of its run
-Game = tuple[Heading, GameRecord]
+Game = tuple[Heading, EpisodeRecord]
 
 
 class RecordError(RuntimeError):
@@ -46,7 +46,7 @@ def encode(games: list[Game]) -> bytes:
     return compressor.compress(b"".join(_line(*game) for game in games))
 
 
-def _line(heading: Heading, record: GameRecord) -> bytes:
+def _line(heading: Heading, record: EpisodeRecord) -> bytes:
     values = {**heading, "idle_frames": record.idle_frames}
     if record.rng is not None:
         values["rng"] = _flat(record.rng)
@@ -59,7 +59,7 @@ def _flat(rng: dict[str, Any]) -> list[str | int]:
     return [state, inc, rng["has_uint32"], rng["uinteger"]]
 
 
-def _game_record(values: dict[str, Any]) -> GameRecord:
+def _game_record(values: dict[str, Any]) -> EpisodeRecord:
     rng = None
     if "rng" in values:
         state, inc, has_uint32, uinteger = values["rng"]
@@ -70,7 +70,7 @@ def _game_record(values: dict[str, Any]) -> GameRecord:
             "uinteger": uinteger,
         }
     actions = bytes(ord(letter) - ord("A") for letter in values["actions"])
-    return GameRecord(values["idle_frames"], actions, rng)
+    return EpisodeRecord(values["idle_frames"], actions, rng)
 
 
 # What each kind of heading holds besides
@@ -157,10 +157,10 @@ def settings(params: Parameters, heading: Heading) -> Parameters:
     return params.model_copy(update=changes)
 
 
-def replay(params: Parameters, record: GameRecord) -> Iterator[AtariGame]:
+def replay(params: Parameters, record: EpisodeRecord) -> Iterator[AtariEnv]:
     """The game before its first action, and after each. Raises RecordError if the cartridge has
     no such action, or if actions are sticky and the record does not say when."""
-    game = game_of(params)
+    game = make_env(params)
     if record.actions and max(record.actions) >= len(game.actions):
         raise RecordError(f"{params.game} has no action {max(record.actions)}")
     if (record.rng is None) != (params.sticky_actions == 0):

@@ -7,7 +7,7 @@
                             processor; not reproducible
         values.csv          a row every 100 games: predicted and realised values
                             (evaluation.ValueCheck)
-        evaluations.csv     a row a game of greedy play (evaluation.PlayedGame, and the games
+        evaluations.csv     a row a game of greedy play (evaluation.EvaluationEpisode, and the games
                             of training behind the model)
         games.jsonl.zst     what every game of these tables can be played again from (`records`)
         model.safetensors   the online network, float16, as of the last checkpoint
@@ -156,7 +156,7 @@ class Run:
         except Timeout:
             raise RunError(f"{self.name} is being trained by another process") from None
 
-    def set_aside(self) -> Path | None:
+    def back_up(self) -> Path | None:
         """Moves what is stored of a run that cannot be continued here, because it is stale or has
         no checkpoint that is whole, and its checkpoints, to folders beside their own; returns
         where the first went, None if nothing was moved.
@@ -171,7 +171,7 @@ class Run:
                 return None  # by now
             # The checkpoints first: left behind, they would be the new run's, whose parameters
             # are the same.
-            moved = [_move_aside(folder) for folder in reversed(stored) if _contents(folder)]
+            moved = [_move_away(folder) for folder in reversed(stored) if _contents(folder)]
             return moved[-1]
 
     def _locked(self) -> bool:
@@ -187,7 +187,7 @@ def _contents(folder: Path) -> list[Path]:
     return [path for path in folder.glob("*") if path.name != ".lock"]
 
 
-def _move_aside(folder: Path) -> Path:
+def _move_away(folder: Path) -> Path:
     """Moves what a locked folder holds to the next free <folder>.aside-<n>, and returns that."""
     number = 1
     while (aside := folder.with_name(f"{folder.name}.aside-{number}")).exists():

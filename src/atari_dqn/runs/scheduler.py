@@ -31,14 +31,14 @@ def startable(wanted: list[Run]) -> tuple[list[Run], list[str]]:
             states[run.name] = run.state()
         except RunError as error:
             states[run.name] = DAMAGED
-            failures.append(told(run, error))
+            failures.append(error_line(run, error))
     for run in wanted:
         state, source = states[run.name], run.source()
         begins_with = states.get(source.name) if source is not None else None
         if state == STALE:
             failures.append(
                 f"{run.folder} holds a run that no longer matches: {'; '.join(run.changes())}; "
-                "--anew keeps it elsewhere and begins again"
+                "--restart keeps it elsewhere and begins again"
             )
         elif source is not None and state == MISSING and begins_with == STALE:
             failures.append(f"{run.name} starts from {source.name}, which is stale")
@@ -157,13 +157,13 @@ def _train(run: Run, place: int, sender: Connection) -> None:
     except KeyboardInterrupt:
         sys.exit(130)
     except Exception as error:
-        sender.send(told(run, error))
+        sender.send(error_line(run, error))
         if not isinstance(error, KNOWN):
             traceback.print_exc()
         sys.exit(1)
 
 
-def told(run: Run, error: BaseException) -> str:
+def error_line(run: Run, error: BaseException) -> str:
     """What went wrong with a run, in a line that names it."""
     text = str(error) if isinstance(error, KNOWN) else f"{type(error).__name__}: {error}"
     return text if run.name in text else f"{run.name}: {text}"
