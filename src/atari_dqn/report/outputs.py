@@ -1,10 +1,12 @@
 """Labelled output of the report's notebooks: text, figures, tables and videos.
 
 Each carries its caption, label, text alternative and origin with it, in the notebook's own output,
-from where `report` takes them into HTML and PDF.
+from where `build` takes them into HTML and PDF. JupyterLab shows the same, as far as its Markdown
+goes: captions below figures, badges as quotations, labels and citations in words.
 """
 
 import base64
+import re
 from typing import TYPE_CHECKING, Any
 
 import pandas as pd
@@ -27,8 +29,25 @@ def start() -> None:
 
 
 def show_text(markdown: str) -> None:
-    """Shows computed text."""
-    display(Markdown(markdown))
+    """Shows computed text in pandoc's Markdown."""
+    display(Markdown(for_jupyter(markdown)), metadata={"text/markdown": {"report": markdown}})
+
+
+def for_jupyter(markdown: str) -> str:
+    """Pandoc's Markdown in JupyterLab's, which knows no divisions, labels, captions or citations."""
+    badge = re.compile(r"^::: \{\.badge[^}]*\}\n(.*?)\n:::$", re.MULTILINE | re.DOTALL)
+    text = badge.sub(lambda match: re.sub("^", "> ", match[1], flags=re.MULTILINE), markdown)
+    text = re.sub(r"^:{3,}( \{[^}]*\})?\n?", "", text, flags=re.MULTILINE)
+    text = re.sub(r"^: (.*) \{#tbl-[\w-]+\}$", r"*\1*", text, flags=re.MULTILINE)
+    text = re.sub(r"(\[\])? ?\{#[\w-]+( \.\w+)*\}", "", text)
+    text = re.sub(r"\[@([\w-]+)\]", r"(\1)", text)
+    return re.sub(r"(?<![\w@])@([\w-]+)", r"\1", text)
+
+
+def _show_caption(caption: str) -> None:
+    """A figure's caption in JupyterLab; the report takes it from the figure's own metadata."""
+    text = Markdown(f"*{for_jupyter(caption)}*")
+    display(text, metadata={"text/markdown": {"report": ""}})
 
 
 def show_absent(label: str, why: str) -> None:
@@ -57,6 +76,7 @@ def show_figure(
     meta = {"label": label, "caption": caption, "alt": alt, "data": data, "hover": hover}
     display(figure, metadata={"image/svg+xml": meta})
     plt.close(figure)
+    _show_caption(caption)
 
 
 def show_video(video: "Video", label: str, caption: str, alt: str, data: str = "") -> None:
@@ -74,6 +94,7 @@ def show_video(video: "Video", label: str, caption: str, alt: str, data: str = "
         "image/png": base64.b64encode(video.strip).decode(),  # what the report is made from
     }
     display(bundle, metadata={"image/png": meta}, raw=True)
+    _show_caption(caption)
 
 
 def show_table(table: pd.DataFrame, label: str, caption: str, decimals: int = 2) -> None:
