@@ -164,7 +164,9 @@ class Shown:
             self.figures[meta["label"]], self.captions[meta["label"]] = thing, meta["caption"]
             self.hovers[meta["label"]] = meta["hover"]
             return
-        text = getattr(thing, "data", None) or str(thing)
+        text = (metadata or {}).get("text/markdown", {}).get("report", str(thing))
+        if not text:
+            return  # a caption for JupyterLab, which the report takes from the figure
         self.texts.append(text)
         if text.startswith("|"):
             lines, caption = text.rsplit("\n\n: ", 1)

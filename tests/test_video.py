@@ -96,7 +96,7 @@ def test_the_same_game_gives_the_same_bytes(small):
 def test_an_excerpt_lasts_as_long_as_was_asked_for(small, seconds, pictures):
     params = small()
     network = untrained(params)
-    whole, _ = decoded(play_with_instruments(network, params, "Agent", 1, 0).video)
+    whole, _ = decoded(play_with_instruments(network, params, "Agent", 1, 0).mp4)
     video = play_with_instruments(network, params, "Agent", 1, 0, seconds)
     part, _ = decoded(video.mp4)
     assert len(part) == pictures

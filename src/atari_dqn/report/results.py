@@ -88,7 +88,7 @@ def show_milestones(section: Section) -> None:
         table.rename(columns={"seed": "whose"}),
         label=label,
         caption=f"{facts.title}, `{section.params.experiment}`: mean raw score of "
-        f"{section.mark_window} games up to each number of games played ({section.counted()})."
+        f"{section.milestone_window} games up to each number of games played ({section.counted()})."
         + f" Human {facts.human:g}, random play {facts.random:g} [@dqnzoo2020]."
         * section.default_difficulty,
     )
