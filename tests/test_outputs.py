@@ -1,4 +1,4 @@
-"""What a notebook shows in JupyterLab is what the report shows, in Markdown that JupyterLab reads."""
+"""What a notebook shows in JupyterLab is what the report shows, in Markdown that it can read."""
 
 from types import SimpleNamespace
 

@@ -34,7 +34,7 @@ def show_text(markdown: str) -> None:
 
 
 def for_jupyter(markdown: str) -> str:
-    """Pandoc's Markdown in JupyterLab's, which knows no divisions, labels, captions or citations."""
+    """Pandoc's Markdown in JupyterLab's, which knows no divisions, labels and citations."""
     badge = re.compile(r"^::: \{\.badge[^}]*\}\n(.*?)\n:::$", re.MULTILINE | re.DOTALL)
     text = badge.sub(lambda match: re.sub("^", "> ", match[1], flags=re.MULTILINE), markdown)
     text = re.sub(r"^:{3,}( \{[^}]*\})?\n?", "", text, flags=re.MULTILINE)
