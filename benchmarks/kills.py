@@ -44,12 +44,12 @@ SMALL = Parameters(
 PROGRAM = """
 import sys
 from pathlib import Path
-from atari_dqn import evaluation
+from atari_dqn import params
 from atari_dqn.params import Parameters
 from atari_dqn.runs import recorder
 from atari_dqn.runs.run import Run
 recorder.CHECKPOINT_SECONDS = 0.05
-evaluation.VALUES_PERIOD = 20
+params.VALUES_PERIOD = 20
 print("ready", flush=True)
 parameters = Parameters.model_validate_json(sys.argv[1])
 recorder.train(Run(parameters, Path(sys.argv[2])))

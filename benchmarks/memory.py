@@ -36,7 +36,10 @@ def fill(game: str, transitions: int) -> list[dict[str, object]]:
     process = psutil.Process()
     games = VectorEnv(parameters, seeds[0])
     before = process.memory_info().rss
-    memory = ReplayMemory(transitions, parameters.environments, parameters.frame_stack, seeds[1])
+    memory = ReplayMemory(
+        *(transitions, parameters.environments, parameters.frame_stack),
+        *(parameters.gamma, seeds[1]),
+    )
     idle = np.zeros(parameters.environments)
     memory.append(games.planes[-1], idle, idle, idle, idle)  # the games' first images
     rng, rows, storing, vector_steps = np.random.default_rng(0), [], 0.0, 0

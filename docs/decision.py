@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib import pyplot as plt
 
 from atari_dqn import evaluation, params
-from atari_dqn.envs import AtariEnv
+from atari_dqn.envs import AtariEnv, make_env
 from atari_dqn.evaluation import q_of
 from atari_dqn.report import plots
 from atari_dqn.runs.models import load_model
@@ -22,12 +22,12 @@ def main(folder: Path, model: str) -> None:
     values = params.read_values(folder / "params.yaml")
     parameters = params.parse(values, str(folder / "params.yaml"))
     network = load_model(folder / model, parameters)
-    game = evaluation.make_env(parameters)
+    player, game = evaluation.player_of(network, parameters), make_env(parameters)
     images = [game.reset(seed=1)[0].reshape(-1)] * parameters.frame_stack
     for _ in range(STEPS):
-        action = q_of(network, np.stack(images)[:, None])[0].argmax()
+        action = q_of(player, np.stack(images)[:, None])[0].argmax()
         images = [*images[1:], game.step(int(action))[0].reshape(-1)]
-    draw(game, np.stack(images), q_of(network, np.stack(images)[:, None])[0])
+    draw(game, np.stack(images), q_of(player, np.stack(images)[:, None])[0])
 
 
 def draw(game: AtariEnv, images: np.ndarray, q_values: np.ndarray) -> None:

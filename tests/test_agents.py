@@ -6,7 +6,7 @@ from torch import nn
 from atari_dqn.agents import AGENTS, Agent, Learner, double_q_learning, q_learning
 from atari_dqn.native import NativeLearner
 from atari_dqn.networks import FEATURES, DuelingNetwork, NatureNetwork
-from atari_dqn.params import ParameterError, title
+from atari_dqn.params import AGENT_NAMES, ParameterError, title
 from atari_dqn.replay import Batch
 from atari_dqn.runs import recorder
 from atari_dqn.runs.run import Run, read_table
@@ -259,6 +259,10 @@ def test_the_learning_rate_warms_up_over_finished_games(small):
     rates = [learning_rate(parameters, games) for games in (0, 100, 200, 5000)]
     assert rates == pytest.approx([1e-6, 5.5e-6, 1e-5, 1e-5])
     assert learning_rate(small(), 0) == small().learning_rate
+
+
+def test_every_agent_that_may_be_named_exists():
+    assert tuple(AGENTS) == AGENT_NAMES
 
 
 def test_a_fourth_agent_is_a_name_an_entry_and_a_function(tmp_path, small, monkeypatch):

@@ -290,7 +290,7 @@ def test_every_game_begins_alike_however_many_were_played_before():
     assert len(left_to_itself) == 2
 
 
-@pytest.mark.parametrize("game", ["alien", "amidar", "boxing", "breakout", "pong", "time_pilot"])
+@pytest.mark.parametrize("game", GAMES)
 def test_the_difficulties_of_a_game_are_the_emulators(game):
     assert list(GAMES[game].difficulties) == AtariEnv(game).ale.getAvailableDifficulties()
 

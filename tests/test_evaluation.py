@@ -50,10 +50,10 @@ def test_realised_values_are_the_discounted_clipped_returns_of_the_games_played(
         table.start(evaluation.VALUE_GAMES * 100 + number, seed=1)
         rewards, ended = [], False
         while not ended:
-            _, raw, terminated, truncated, _ = table.emulator.step(1)
+            _, raw, terminated, truncated, _ = table.env.step(1)
             rewards.append(max(-1, min(1, raw)))
             ended = terminated or truncated
-        scores.append(table.emulator.score)
+        scores.append(table.env.score)
         returns += [
             sum(reward * 0.5**later for later, reward in enumerate(rewards[now:]))
             for now in range(len(rewards))
@@ -102,7 +102,7 @@ def test_rewards_of_evaluation_games_are_less_for_a_lost_life_too(small):
     parameters = small(game="breakout", life_loss_penalty=0.75, max_game_frames=1000)
     table = evaluation.EpisodeInProgress(parameters)
     table.start(0, seed=1)
-    while table.emulator.lives == 5:
+    while table.env.lives == 5:
         table.step(0)
     assert table.rewards[-1] == -0.75
 
@@ -145,9 +145,9 @@ def test_a_game_is_described_by_what_its_emulator_says_at_its_end(small, monkeyp
     settings = {"difficulty": 1, "sticky_actions": 0.5, "evaluation_epsilon": 0.25}
     table = evaluation.EpisodeInProgress(small(game=game, **settings))
     table.start(5, seed=6)
-    table.emulator.length, table.emulator.frames, table.distances = 11, 12, [1.0, 2.0]
+    table.env.length, table.env.frames, table.distances = 11, 12, [1.0, 2.0]
     for score, won in ((enough - 1, False), (enough, True)):
-        table.emulator.score = float(score)
+        table.env.score = float(score)
         assert table.result(seed=6).row() == dict(
             zip(
                 PLAYED_COLUMNS,

@@ -27,6 +27,25 @@ def notebook(tmp_path):
     return path
 
 
+def test_a_section_depends_on_what_its_runs_start_from(notebook, tmp_path):
+    notebook.write_text(notebook.read_text().replace("boxing_final", "boxing_transfer"))
+    before = fingerprint.fingerprint(notebook, "smoke", tmp_path)
+    transfer = params.load(ROOT / "params" / "smoke" / "boxing_transfer.yaml")
+    source = runs_of(transfer, tmp_path)[0].source().folder
+    source.mkdir(parents=True)
+    (source / "status.json").write_text("{}")
+    assert fingerprint.fingerprint(notebook, "smoke", tmp_path) != before
+
+
+def test_a_section_that_shows_no_runs_depends_on_none(notebook, tmp_path):
+    notebook.write_text(notebook.read_text().replace("sections.Section(", "plan.files("))
+    before = fingerprint.fingerprint(notebook, "smoke", tmp_path)
+    folder = run_folder("boxing_final", tmp_path)
+    folder.mkdir(parents=True)
+    (folder / "episodes.csv").write_text("episode\n")
+    assert fingerprint.fingerprint(notebook, "smoke", tmp_path) == before
+
+
 def test_only_what_a_section_is_made_from_makes_it_stale(notebook, tmp_path, monkeypatch):
     package = tmp_path / "package"
     shutil.copytree(ROOT / "src" / "atari_dqn", package)

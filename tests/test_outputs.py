@@ -16,6 +16,8 @@ from atari_dqn.report import outputs
         ("[]{#fig-one .absent} []{#tbl-two .absent}", ""),
         ("| a |\n\n: A caption. {#tbl-one}", "| a |\n\n*A caption.*"),
         ("See @fig-one [@mnih2015], and me@home.", "See fig-one (mnih2015), and me@home."),
+        ("[@one; @two] and [-@three] in `@code`", "(one; two) and (three) in `@code`"),
+        ("```python\n@cache\n```", "```python\n@cache\n```"),
         (":::: {.card}\n::: {}\n**23** points\n:::\n::::", "**23** points\n"),
     ],
 )

@@ -27,7 +27,7 @@ def write(folder, text, name="mine.yaml"):
 @pytest.mark.parametrize("profile", params.PROFILES)
 def test_every_experiment_has_a_file_of_every_profile(profile):
     files = plan.files(profile)
-    assert [path.stem for path in files] == list(plan.ORDER)
+    assert [path.stem for path in files if path.stem in plan.ORDER] == list(plan.ORDER)
     for path in files:
         assert params.load(path).profile == profile
 

@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 from conftest import SMALL
 
-from atari_dqn import __main__, evaluation
+from atari_dqn import __main__, evaluation, params
 from atari_dqn.envs import AtariEnv, EpisodeRecord, make_env
 from atari_dqn.params import Parameters
 from atari_dqn.runs import evaluations, recorder, records
@@ -120,7 +120,8 @@ SHORT = {"VALUES_PERIOD": 2, "VALUE_GAMES": 3, "HELD_OUT_STATES": 8}  # of the c
 @pytest.fixture(autouse=True)
 def short(monkeypatch):
     for name, value in SHORT.items():
-        monkeypatch.setattr(evaluation, name, value)
+        monkeypatch.setattr(params, name, value)
+        monkeypatch.setattr(evaluation, name, value, raising=False)
 
 
 @pytest.fixture(scope="module")
@@ -132,7 +133,8 @@ def trained(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("ATARI_DQN_STATE", str(folder / "state"))
         for name, value in SHORT.items():
-            patch.setattr(evaluation, name, value)
+            patch.setattr(params, name, value)
+            patch.setattr(evaluation, name, value, raising=False)
         recorder.train(run)
     return run
 

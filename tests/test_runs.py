@@ -311,7 +311,7 @@ def test_a_run_told_to_stop_saves_where_it_is_and_says_so(tmp_path, unstopped, h
 def test_value_checks_and_snapshots_are_the_same_after_a_stop_and_a_crash(
     tmp_path, small, monkeypatch
 ):
-    monkeypatch.setattr(evaluation, "VALUES_PERIOD", 2)
+    monkeypatch.setattr(params, "VALUES_PERIOD", 2)
     monkeypatch.setattr(evaluation, "HELD_OUT_STATES", 16)
     monkeypatch.setattr(evaluation, "VALUE_GAMES", 1)
     parameters = small(

@@ -71,7 +71,7 @@ def test_the_television_and_the_observation_are_those_of_the_game(small):
     table.start(0, seed=1)
     for picture in pictures[: video.games[0].length]:
         screen = picture[module.TOP : module.TOP + 420 : 2, module.MARGIN : module.MARGIN + 320 : 2]
-        assert np.abs(screen.astype(int) - table.emulator.render()).mean() < 6
+        assert np.abs(screen.astype(int) - table.env.render()).mean() < 6
         x = module.RIGHT + 3 * (84 + module.GAP)
         newest = picture[module.TOP : module.TOP + 84, x : x + 84, 1]
         assert np.abs(newest.astype(int) - table.planes[-1].reshape(84, 84)).mean() < 6

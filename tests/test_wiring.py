@@ -11,7 +11,7 @@ import torch
 from conftest import SMALL
 from safetensors.torch import load_file
 
-from atari_dqn import evaluation, training
+from atari_dqn import evaluation, params, training
 from atari_dqn.agents import AGENTS
 from atari_dqn.envs import AtariEnv, EpisodeRecord, VectorEnv
 from atari_dqn.evaluation import player_of
@@ -348,7 +348,7 @@ def test_every_random_stream_is_another_one_and_evaluation_has_its_own(small):
     for seed in (1, 2):
         for number in range(3):
             table.start(number, seed)
-            drawn |= {str(rng.bit_generator.state) for rng in (table.rng, table.emulator.np_random)}
+            drawn |= {str(rng.bit_generator.state) for rng in (table.rng, table.env.np_random)}
     assert len(drawn) == 2 * 3 * 2
     assert not drawn & set(used)
 
@@ -500,7 +500,8 @@ def watched(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("ATARI_DQN_STATE", str(folder / "state"))
         for name, value in SEEN.items():
-            patch.setattr(evaluation, name, value)
+            patch.setattr(params, name, value)
+            patch.setattr(evaluation, name, value, raising=False)
         patch.setattr(recorder.Recorder, "log", watch)
         patch.setattr(evaluation, "play", watch_play)
         recorder.train(seen.run)
@@ -524,7 +525,8 @@ def test_values_are_checked_with_the_network_of_that_game_and_the_runs_own_setti
     watched, monkeypatch
 ):
     for name, value in SEEN.items():
-        monkeypatch.setattr(evaluation, name, value)
+        monkeypatch.setattr(params, name, value)
+        monkeypatch.setattr(evaluation, name, value, raising=False)
     rows = pd.read_csv(watched.run.folder / "values.csv")
     assert rows.episode.tolist() == [2, 4]
     parameters = watched.run.params

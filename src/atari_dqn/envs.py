@@ -15,6 +15,7 @@ What an agent sees of 12 emulator frames, with frame_skip 4 and frame_stack 3:
 
 import atexit
 import weakref
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -27,7 +28,7 @@ from atari_dqn.games import GAMES, boxing_points
 from atari_dqn.params import Parameters
 
 SIZE = 84  # pixels; the side of the square image that the networks see
-FIRE = 1  # index of FIRE among the actions of both games
+FIRE = 1  # index of FIRE among the actions of the games that are served with it
 
 ALEInterface.setLoggerMode(LoggerMode.Error)
 cv2.setNumThreads(1)
@@ -52,19 +53,21 @@ class Emulator:
     switched_on: ALEState
 
 
-_LEFT: dict[str, list[Emulator]] = {}  # by cartridge, those that no game uses any more
+# By cartridge, those that no game uses any more. An `ale` must not be kept longer than its game.
+_LEFT: dict[str, list[Emulator]] = {}
 atexit.register(_LEFT.clear)  # the binding complains of objects that outlive it
 
 
 def _emulator(game: str) -> Emulator:
     """One that another game has left, if there is one: inserting a cartridge takes a tenth of a
     second."""
-    if left := _LEFT.setdefault(game, []):
-        return left.pop()
+    with suppress(IndexError):
+        return _LEFT.setdefault(game, []).pop()
     ale = ALEInterface()
     ale.setFloat("repeat_action_probability", 0.0)  # see AtariEnv._act
     rom = roms.get_rom_path(game)
-    assert rom, game
+    if rom is None:
+        raise FileNotFoundError(f"ale-py has no cartridge named {game!r}")
     ale.loadROM(rom)
     return Emulator(ale, ale.cloneState(include_rng=True))
 

@@ -16,7 +16,6 @@ from atari_dqn.agents import AGENTS
 from atari_dqn.envs import SIZE, EpisodeRecord, interleave, learned_reward, make_env
 from atari_dqn.native import new_learner
 from atari_dqn.params import HELD_OUT_STATES, VALUE_GAMES, Parameters
-from atari_dqn.params import VALUES_PERIOD as VALUES_PERIOD  # read by those who write the checks
 from atari_dqn.schedules import epsilon_greedy
 
 Player = Callable[[np.ndarray], np.ndarray]
@@ -64,7 +63,7 @@ class EpisodeInProgress:
     """A game in progress at one emulator."""
 
     def __init__(self, params: Parameters):
-        self.emulator = make_env(params)
+        self.env = make_env(params)
         self.planes = np.zeros((params.frame_stack, SIZE * SIZE), np.uint8)
         self.game = -1
         self.rng = np.random.default_rng()
@@ -76,21 +75,21 @@ class EpisodeInProgress:
         """Begins game number `game`: all that is random in it follows from the two numbers."""
         sequence = np.random.SeedSequence(seed, spawn_key=(EVALUATION, game))
         emulator_seed, action_seed = sequence.generate_state(2)
-        self.planes[:] = self.emulator.reset(seed=int(emulator_seed))[0].reshape(-1)
+        self.planes[:] = self.env.reset(seed=int(emulator_seed))[0].reshape(-1)
         self.rng = np.random.default_rng(action_seed)
         self.game, self.rewards, self.distances = game, [], []
 
     def step(self, action: int) -> bool:
         """Plays one agent step; true when the game has ended."""
-        image, raw, terminated, truncated, info = self.emulator.step(action)
+        image, raw, terminated, truncated, info = self.env.step(action)
         self.rewards.append(learned_reward(self.params, raw, info["life_lost"]))
-        self.distances.append(self.emulator.distance())
+        self.distances.append(self.env.distance())
         self.planes[:-1] = self.planes[1:]
         self.planes[-1] = image.reshape(-1)
         return terminated or truncated
 
     def result(self, seed: int) -> EvaluationEpisode:
-        emulator, params = self.emulator, self.params
+        emulator, params = self.env, self.params
         return EvaluationEpisode(
             self.game,
             emulator.score,
@@ -173,7 +172,7 @@ def held_out_states(params: Parameters) -> np.ndarray:
     for step in range(8 * HELD_OUT_STATES):
         if step % 8 == 0:
             states.append(interleave(table.planes[:, None])[0])
-        if table.step(int(rng.integers(len(table.emulator.actions)))):
+        if table.step(int(rng.integers(len(table.env.actions)))):
             game += 1
             table.start(game, seed=0)
     return np.stack(states)
@@ -207,7 +206,7 @@ def check_values(
         float(held_out_q.mean()),
         float(np.concatenate(predictions).mean()),
         float(returns.mean()),
-        float(np.mean([table.emulator.score for table in tables])),
+        float(np.mean([table.env.score for table in tables])),
     )
     return check, [table.result(seed) for table in tables]
 

@@ -1,4 +1,4 @@
-"""What the report's notebooks are about: their parameters, and the stored runs of a section."""
+"""The stored runs that a section of the report is about."""
 
 from functools import cached_property
 from typing import Any
@@ -181,8 +181,8 @@ class Section:
 class Study:
     """Experiments of a profile: study["boxing_final"] is its section.
 
-    `names` are those of the experiments; None takes all. `agents` and `seeds` take the place of
-    each experiment's own.
+    `names` are those of the experiments; None takes all that the report is about (`plan.ORDER`).
+    `agents` and `seeds` take the place of each experiment's own.
     """
 
     def __init__(
@@ -194,7 +194,7 @@ class Study:
         seeds: list[int] | None = None,
     ):
         if names is None:
-            names = [path.stem for path in plan.files(profile)]
+            names = [path.stem for path in plan.files(profile) if path.stem in plan.ORDER]
         self.sections = {name: Section(name, profile, results_dir, agents, seeds) for name in names}
 
     def __getitem__(self, experiment: str) -> Section:

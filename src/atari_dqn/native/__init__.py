@@ -106,7 +106,7 @@ def load(library: Path | None = None) -> ctypes.CDLL:
     """The library with its functions' types; by default the one that `compiled` gives. Raises
     Unavailable, also if this processor lacks AVX2 or FMA."""
     try:
-        native = _opened(library) if library else _opened_or_compiled_anew()
+        native = _opened(library) if library else _opened_or_compiled_again()
     except OSError as error:
         raise Unavailable(f"the compiled learner cannot be loaded: {error}") from None
     native.processor_suffices.restype = ctypes.c_bool
@@ -136,7 +136,7 @@ def _opened(library: Path) -> ctypes.CDLL:
     return ctypes.CDLL(str(library))
 
 
-def _opened_or_compiled_anew() -> ctypes.CDLL:
+def _opened_or_compiled_again() -> ctypes.CDLL:
     """A damaged file in the cache is replaced."""
     try:
         return _opened(compiled())

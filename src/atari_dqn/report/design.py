@@ -169,7 +169,7 @@ def differences(of: list[Parameters]) -> pd.DataFrame:
         rows.append(
             {
                 "experiment": f"`{item.experiment}`",
-                "agents": "all three"
+                "agents": "all"
                 if len(item.agents) == len(AGENTS)
                 else ", ".join(params.title(agent) for agent in item.agents),
                 "games": f"{item.episodes:,}",

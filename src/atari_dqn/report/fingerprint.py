@@ -51,14 +51,19 @@ def _data(notebook: Path) -> list[Path]:
 
 
 def _stored(code: str, profile: str, results: Path) -> Iterator[Path]:
-    """The parameter files and stored runs of every experiment that the code names; of all of them
-    if it asks for a study of no experiments in particular."""
+    """The parameter files of every experiment that the code names, of all of them if it asks for a
+    study of no experiments in particular; and, if it shows any runs, those that are stored of
+    them, and what these start from."""
+    shows_runs = re.search(r"\b(Section|Study)\(", code)
     for path in plan.files(profile):
         if not re.search(rf"""["']{path.stem}["']|\bStudy\((?![^)]*names)""", code):
             continue
         yield from params.files_behind(path)
-        for run in runs_of(params.load(path), results):
-            yield from sorted(file for file in run.folder.rglob("[!.]*") if file.is_file())
+        for run in runs_of(params.load(path), results) if shows_runs else ():
+            for each in (run, run.source()):
+                if each is not None:
+                    files = each.folder.rglob("[!.]*")
+                    yield from sorted(file for file in files if file.is_file())
 
 
 PACKAGE = Path(__file__).parents[1]

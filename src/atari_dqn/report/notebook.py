@@ -20,12 +20,12 @@ def injected() -> dict[str, Any]:
     adds below it with "# Parameters".
     """
     shell = get_ipython()
-    assert shell is not None, "sections.injected() is for notebooks"
+    assert shell is not None, "notebook.injected() is for notebooks"
     names: set[str] = set()
     for source in shell.user_ns["In"]:
         first, _, _ = source.partition("\n")
         if first.startswith("# Parameters: defaults"):
-            names.clear()  # run anew, perhaps edited: what was there before does not count
+            names.clear()  # run again, perhaps edited: what was there before does not count
         elif first.strip() != "# Parameters":
             continue
         names |= {

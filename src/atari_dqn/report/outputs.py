@@ -40,8 +40,9 @@ def for_jupyter(markdown: str) -> str:
     text = re.sub(r"^:{3,}( \{[^}]*\})?\n?", "", text, flags=re.MULTILINE)
     text = re.sub(r"^: (.*) \{#tbl-[\w-]+\}$", r"*\1*", text, flags=re.MULTILINE)
     text = re.sub(r"(\[\])? ?\{#[\w-]+( \.\w+)*\}", "", text)
-    text = re.sub(r"\[@([\w-]+)\]", r"(\1)", text)
-    return re.sub(r"(?<![\w@])@([\w-]+)", r"\1", text)
+    text = re.sub(r"\[(-?@[^\]]+)\]", r"(\1)", text)
+    code = r"```.*?```|`[^`]*`"
+    return re.sub(rf"({code})|-?(?<![\w@])@([\w-]+)", r"\1\2", text, flags=re.DOTALL)
 
 
 def _show_caption(caption: str) -> None:

@@ -1,5 +1,6 @@
 """Every figure, in one style: colour-blind safe, told apart by line style too, vector graphics."""
 
+from itertools import cycle
 from typing import Any
 
 import matplotlib as mpl
@@ -17,8 +18,8 @@ from atari_dqn.envs import AtariEnv
 from atari_dqn.games import GAMES, GameFacts
 
 _COLOURS = sns.color_palette("colorblind")
-COLOURS = dict(zip(params.AGENT_NAMES, _COLOURS, strict=False))
-DASHES = dict(zip(params.AGENT_NAMES, ("", (4, 1.5), (1, 1), (4, 1, 1, 1)), strict=False))
+COLOURS = dict(zip(params.AGENT_NAMES, cycle(_COLOURS), strict=False))
+DASHES = dict(zip(params.AGENT_NAMES, cycle(("", (4, 1.5), (1, 1), (4, 1, 1, 1))), strict=False))
 WIDTH = 6.3  # inches; the text's width on paper
 
 
@@ -83,7 +84,7 @@ def learning_curves(
     sns.lineplot(common, x="episode", **shared, **bold, ax=games)
     handles, names = games.get_legend_handles_labels()
     for handle in handles:
-        handle.set_linewidth(1.6)
+        handle.set_linewidth(1.6)  # type: ignore[attr-defined]
     titles = [params.title(name) for name in names]
     games.legend(handles, titles, loc="lower left", bbox_to_anchor=(0, 1), ncols=len(titles))
     games.set(xlabel="games played", ylabel=f"score, mean of {window} games")

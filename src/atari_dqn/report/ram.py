@@ -1,7 +1,7 @@
 """What the console's own memory tells: which punches score in Boxing, and how a game repeats.
 
 Cells of positions and scores as Anand et al. (2019, AtariARI) annotate them. The arms' cells are
-measured: while FIRE is held, an arm goes out by 8 a frame, up to 72 (tests/test_ramtrace.py).
+measured: while FIRE is held, an arm goes out by 8 a frame, up to 72 (tests/test_ram.py).
 """
 
 from collections.abc import Iterator

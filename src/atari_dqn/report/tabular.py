@@ -88,7 +88,8 @@ def greedy_path(q: np.ndarray) -> list[int]:
     """The cells that the best actions of the table lead through; cut if they miss the goal."""
     world, cells = cliff(), [START]
     while cells[-1] != GOAL and len(cells) < ROWS * COLUMNS:
-        ((_, s_t, _, _),) = world.P[cells[-1]][int(q[cells[-1]].argmax())]
+        moves = world.P[cells[-1]]  # type: ignore[attr-defined]
+        ((_, s_t, _, _),) = moves[int(q[cells[-1]].argmax())]
         cells.append(int(s_t))
     return cells
 

@@ -135,7 +135,7 @@ def _record(network: nn.Module, params: Parameters, seed: int, game: int) -> _Re
         action = int(epsilon_greedy(q_value[None], params.evaluation_epsilon, table.rng)[0])
         ended = table.step(action)
         decisions.append((action, q_value, value))
-        scores.append(table.emulator.score)
+        scores.append(table.env.score)
     symbol = "V(s)" if isinstance(network, DuelingNetwork) else "max Q"
     arrays = (np.array(column) for column in (*zip(*decisions, strict=True), scores))
     return _Recording(params, table.result(seed), symbol, *arrays)
@@ -305,7 +305,7 @@ class _Column:
 
     def draw(self, table: EpisodeInProgress, step: int) -> None:
         game, width = self.game, self.view.shape[1]
-        size, doubled = self.screen.shape[1::-1], table.emulator.render().repeat(2, 0).repeat(2, 1)
+        size, doubled = self.screen.shape[1::-1], table.env.render().repeat(2, 0).repeat(2, 1)
         self.picture = cv2.resize(doubled, size, interpolation=cv2.INTER_AREA)
         self.screen[:] = self.picture
         now = min(step, len(game.actions) - 1)  # at the end, the last decision stays

@@ -61,7 +61,7 @@ def show_best(section: Section, label: str, seconds: int) -> None:
         video,
         label=label,
         caption=f"{params.title(run.agent)} after {games:,} training games: the first {seconds} "
-        f"seconds of a bout that ends with {_scored(video)}. On the page: what the network sees, "
+        f"seconds of a game that ends with {_scored(video)}. On the page: what the network sees, "
         "and the value it gives each action. On paper: the value of its best action (max Q), "
         "with a thin line at each picture.",
         alt=ALT.format(section.facts.title),
@@ -85,7 +85,7 @@ def show_early_and_late(section: Section, label: str) -> None:
         video,
         label=label,
         caption=f"{params.title(run.agent)} after {chosen[0]:,} and {chosen[1]:,} training games, "
-        f"on the same game; the first 30 seconds. The bouts end with {_scored(video)}.",
+        f"on the same game; the first 30 seconds. The games end with {_scored(video)}.",
         alt=ALT.format(f"one agent twice in {section.facts.title}, early and late"),
         data=run.name,
     )
@@ -107,7 +107,7 @@ def show_side_by_side(section: Section, label: str) -> None:
         video,
         label=label,
         caption="The agents on the same game, each with its newest model and the training games "
-        f"behind it; the first 30 seconds. The bouts end with {_scored(video)}.",
+        f"behind it; the first 30 seconds. The games end with {_scored(video)}.",
         alt=ALT.format(f"the agents side by side in {section.facts.title}"),
         data=section.origin,
     )

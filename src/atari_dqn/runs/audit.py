@@ -284,7 +284,7 @@ def _wanted(stored: Stored, kind: str) -> list[tuple]:
     if kind == TRAINING:
         return [(episode,) for episode in range(1, count + 1)]
     if kind == VALUES:
-        every = evaluation.VALUES_PERIOD
+        every = params.VALUES_PERIOD
         checked = count if stored.complete else count - 1  # the last check may be under way
         return [(episode,) for episode in range(every, checked + 1, every)]
     if not stored.complete:

@@ -217,7 +217,7 @@ class Recorder:
         self._record([(heading, episode.record)])
         self._append("episodes.csv", _row(episode, Episode.columns()))
         self._append("timing.csv", f"{episode.episode},{self.now():.1f},{self.cpu_now():.1f}")
-        if episode.episode % evaluation.VALUES_PERIOD == 0:
+        if episode.episode % params.VALUES_PERIOD == 0:
             self._check_values()
         if episode.episode in self.run.params.snapshot_games:
             self._take_snapshot()
