@@ -119,5 +119,5 @@ def test_settings_are_each_experiments_own():
     rows = design.differences(list(loaded.values())).set_index("experiment")
     assert rows.games["`boxing_final`"] == "3,000"
     assert rows.games["`breakout_early`"] == "7,000"
-    assert rows.agents["`boxing_final`"] == "all three"
+    assert rows.agents["`boxing_final`"] == "all"
     assert rows.agents["`boxing_high_gamma`"] == "Dueling Double DQN"
