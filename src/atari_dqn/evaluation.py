@@ -89,21 +89,21 @@ class EpisodeInProgress:
         return terminated or truncated
 
     def result(self, seed: int) -> EvaluationEpisode:
-        emulator, params = self.env, self.params
+        env, params = self.env, self.params
         return EvaluationEpisode(
             self.game,
-            emulator.score,
-            emulator.length,
-            emulator.frames,
-            emulator.score >= emulator.facts.wins_at,
-            emulator.knockout(),
+            env.score,
+            env.length,
+            env.frames,
+            env.score >= env.facts.wins_at,
+            env.knockout(),
             params.difficulty,
             params.sticky_actions,
             params.evaluation_epsilon,
             seed,
-            *emulator.points(),
+            *env.points(),
             float(np.mean(self.distances)),
-            emulator.played(),
+            env.played(),
         )
 
 

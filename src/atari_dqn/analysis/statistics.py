@@ -4,14 +4,8 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
-MILESTONES = (
-    500,
-    1000,
-    1500,
-    2000,
-    2500,
-    3000,
-)  # games; the source report has scores at each
+# Games of training, after each of which the source report gives scores
+MILESTONES = (500, 1000, 1500, 2000, 2500, 3000)
 
 
 def trailing_mean(scores: pd.Series, window: int) -> pd.Series:

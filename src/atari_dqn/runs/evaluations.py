@@ -63,5 +63,6 @@ def store_evaluation(folder: Path, played: list[EvaluationEpisode], trained_game
 
 def _heading(game: EvaluationEpisode, trained_games: int) -> records.Heading:
     """What tells a game from all others of its run."""
-    settings = {key: getattr(game, key) for key in records.KEYS[records.EVALUATION][1:]}
-    return {"kind": records.EVALUATION, "trained_games": trained_games, **settings}
+    settings = ("difficulty", "sticky_actions", "epsilon", "seed", "game")
+    named = {key: getattr(game, key) for key in settings}
+    return {"kind": records.EVALUATION, "trained_games": trained_games, **named}
