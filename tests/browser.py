@@ -39,9 +39,7 @@ class Browser:
                 assert "error" not in answer, answer
                 return answer["result"]
 
-    def open(
-        self, path: Path, width: int = 1280, dark: bool = False, motion: bool = True
-    ) -> None:
+    def open(self, path: Path, width: int = 1280, dark: bool = False, motion: bool = True) -> None:
         """Shows a page in a window 800 pixels high, as a phone where it is narrow."""
         self.command(
             "Emulation.setDeviceMetricsOverride",

@@ -206,7 +206,9 @@ def _section(path: Path, made: Path) -> str:
 
 def _metadata(moment: datetime | None) -> dict[str, str]:
     """What the report says of itself before its text begins."""
-    project = tomllib.loads((project_root() / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    project = tomllib.loads((project_root() / "pyproject.toml").read_text(encoding="utf-8"))[
+        "project"
+    ]
     facts = {
         "title": TITLE,
         "subtitle": SUBTITLE,

@@ -113,6 +113,15 @@ local function division(div)
   end
 end
 
+-- A listing may be broken between pages where a new definition begins, and only there.
+local function listing(block)
+  local parts = pandoc.Blocks({})
+  for part in (block.text:gsub("\n\n+(%S)", "\0%1") .. "\0"):gmatch("(.-)\0") do
+    parts:insert(pandoc.CodeBlock(part, block.attr))
+  end
+  return parts
+end
+
 local WHOLE = 12 -- rows; a longer table may be broken between pages
 
 local function rows(element)
@@ -146,7 +155,7 @@ end
 
 local first = { Str = minus, Span = span, Div = division, Pandoc = document }
 if paper then
-  first.Figure, first.Table = figure, short_table
+  first.Figure, first.Table, first.CodeBlock = figure, short_table, listing
 else
   first.Inlines = glue
 end
