@@ -1,5 +1,6 @@
 """The pipeline from notebooks to the report, on smoke runs of the real games."""
 
+import csv
 import json
 import os
 import re
@@ -117,6 +118,22 @@ def test_the_report_has_every_section_and_every_experiment(built):
     assert (built / "report.pdf").read_bytes().startswith(b"%PDF")
 
 
+def test_the_background_says_what_its_measurements_say(built):
+    text = re.sub(r"<[^>]+>|\s+", " ", (built / "index.html").read_text())
+    text = re.sub(" +", " ", text)
+    with (ROOT / "results" / "benchmarks" / "punches.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    two = [row for row in rows if row["points"] == "2"]
+    far = [row for row in rows if int(row["dx"]) >= 18]
+    bent = [row for row in far if row["points"] == "2"]
+    near = len(two) - len(bent), len(rows) - len(far)
+    assert f"Of {len(rows):,} punches, {len(two)} scored two points" in text
+    assert f"from {near[0] / near[1]:.0%} of the punches closer than 18 pixels" in text
+    assert f"from {len(bent)} of the {len(far):,} others" in text
+    assert "two games of Boxing are equal, bit for bit, after every one of 1,000 steps" in text
+    assert "the goal in 13 steps" in text, "the shortest way along the cliff"
+
+
 def test_the_exploring_notebook_plays_a_stored_agent(built, tmp_path):
     parameters = {"profile": "smoke", "results_dir": str(built.parent)}
     played = execute(tmp_path / "out.ipynb", parameters, ROOT, "explore").cells[-1].outputs
@@ -138,7 +155,7 @@ def test_figures_say_where_they_come_from_and_curves_show_their_values(built):
 
 def test_rendering_again_gives_the_same_bytes(built):
     before = {name: (built / name).read_bytes() for name in ("index.html", "report.pdf")}
-    (built.parent / "notebooks" / "07_results.inputs").unlink()  # which has figures and videos
+    (built.parent / "notebooks" / "03_results.inputs").unlink()  # which has figures and videos
     build.build("smoke", built.parent)
     assert {name: (built / name).read_bytes() for name in before} == before
 
@@ -149,7 +166,7 @@ def test_a_section_is_executed_again_only_if_something_of_its_own_changed(built)
     results = (
         built.parent / "runs" / "boxing_expert" / "dueling_double_dqn" / "seed-1" / "episodes.csv"
     )
-    assert "857.00" not in (notebooks / "08_boxing_expert.ipynb").read_text()
+    assert "857.00" not in (notebooks / "05_boxing_expert.ipynb").read_text()
     header, first, *rest = results.read_text().splitlines(keepends=True)
     cells = first.split(",")
     cells[3] = "857"  # the score
@@ -160,9 +177,9 @@ def test_a_section_is_executed_again_only_if_something_of_its_own_changed(built)
         for path in notebooks.glob("*.ipynb")
         if path.stat().st_mtime_ns != before[path.name]
     }
-    on_all_runs = {"00_summary.ipynb", "10_evaluation.ipynb", "11_appendix.ipynb"}
-    assert changed == {"08_boxing_expert.ipynb"} | on_all_runs
-    assert "857.00" in (notebooks / "08_boxing_expert.ipynb").read_text()
+    on_all_runs = {"00_summary.ipynb", "10_evaluation.ipynb", "13_speed.ipynb", "15_runs.ipynb"}
+    assert changed == {"05_boxing_expert.ipynb"} | on_all_runs
+    assert "857.00" in (notebooks / "05_boxing_expert.ipynb").read_text()
 
 
 def test_the_page_needs_no_network(built):
@@ -186,14 +203,14 @@ def test_every_figure_has_a_text_alternative(built):
 def test_a_failing_section_is_named_and_the_last_report_stays(built, monkeypatch, tmp_path):
     before = (built / "index.html").read_bytes()
     (tmp_path / "notebooks").mkdir()
-    shutil.copy(ROOT / "notebooks" / "08_boxing_expert.ipynb", tmp_path / "notebooks")
+    shutil.copy(ROOT / "notebooks" / "05_boxing_expert.ipynb", tmp_path / "notebooks")
     shutil.copytree(ROOT / "notebooks" / "data", tmp_path / "notebooks" / "data")
     shutil.copytree(ROOT / "params", tmp_path / "params")
     shutil.copy(ROOT / "pyproject.toml", tmp_path)
-    broken = tmp_path / "notebooks" / "08_boxing_expert.ipynb"
+    broken = tmp_path / "notebooks" / "05_boxing_expert.ipynb"
     broken.write_text(broken.read_text().replace("show_badge(section)", "no_such_thing(section)"))
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(RunError, match=r"08_boxing_expert\.ipynb, cell 3: AttributeError"):
+    with pytest.raises(RunError, match=r"05_boxing_expert\.ipynb, cell 3: AttributeError"):
         build.build("smoke", built.parent)
     assert (built / "index.html").read_bytes() == before
 

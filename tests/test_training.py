@@ -193,26 +193,26 @@ def transition(s_tm1, a_tm1, r_t, discount_t, s_t):
     return hash(s_tm1.tobytes()), int(a_tm1), float(r_t), float(discount_t), hash(s_t.tobytes())
 
 
-def recorded(games, monkeypatch):
+def recorded(envs, monkeypatch):
     """The list that will hold every transition, as the emulators and the agent saw it."""
     transitions, emulated = [], {}
-    for index, game in enumerate(games.games):
+    for index, env in enumerate(envs.envs):
 
-        def emulate(action, index=index, step=game.step):
+        def emulate(action, index=index, step=env.step):
             result = step(action)
             emulated[index] = (action, result[1], np.float32(0 if result[2] else 0.99))
             return result
 
-        monkeypatch.setattr(game, "step", emulate)
+        monkeypatch.setattr(env, "step", emulate)
 
-    def play(actions, step=games.step):
+    def play(actions, step=envs.step):
         emulated.clear()  # a game that restarts is not stepped
-        before, result, after = games.observations(), step(actions), games.observations()
+        before, result, after = envs.observations(), step(actions), envs.observations()
         for index, experience in emulated.items():
             transitions.append(transition(before[index], *experience, after[index]))
         return result
 
-    monkeypatch.setattr(games, "step", play)
+    monkeypatch.setattr(envs, "step", play)
     return transitions
 
 

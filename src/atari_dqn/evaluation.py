@@ -36,7 +36,7 @@ class EvaluationEpisode:
     won: bool
     knockout: int  # 1 given, -1 received, 0 neither
     difficulty: int
-    sticky_actions: float  # probability a frame
+    sticky_actions: float  # probability per frame
     epsilon: float  # probability of a random action
     seed: int
     scored: float  # points of the agent alone
