@@ -57,7 +57,7 @@ def main() -> None:
 
     trainer.memory.sample = timed("sampling", trainer.memory.sample)
     trainer.memory.append = timed("storing", trainer.memory.append)
-    trainer.games.step = timed("emulation and preprocessing", trainer.games.step)
+    trainer.envs.step = timed("emulation and preprocessing", trainer.envs.step)
     trainer.learner.q_values = timed("selecting actions", trainer.learner.q_values)
     trainer.learner.learn = timed("update", trainer.learner.learn)
     before, start = trainer.learner.updates, time.perf_counter()

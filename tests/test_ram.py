@@ -4,7 +4,7 @@ import pytest
 from atari_dqn.envs import FIRE, AtariEnv
 from atari_dqn.games import boxing_points
 from atari_dqn.report import ram
-from atari_dqn.report.ram import BOXERS
+from atari_dqn.report.ram import BOXERS, Punch
 
 NOOP = 0
 
@@ -60,11 +60,38 @@ def test_the_punches_of_a_game_add_up_to_its_score(monkeypatch):
     totals = punches.groupby("boxer").points.sum()
     assert totals["agent"] - totals["computer"] == games[0].score
     assert set(punches.points) == {1, 2}
-    table = ram.summary(punches)
-    assert table.punches.sum() == len(punches)
-    pictures = {punch.points: picture for punch, picture in found}
+    stored = ram.stored_punches()
+    pd.testing.assert_frame_equal(stored[stored.game == 0], punches)
+    pictures = ram.first_pictures()
+    first = {
+        points: next(seen for seen in found if seen[0][1:3] == ("agent", points))
+        for points in (1, 2)
+    }
+    assert all((pictures[points] == picture).all() for points, (_, picture) in first.items())
     assert len(ram.frames_figure(pictures).axes) == 2
-    assert len(ram.punches_figure(punches).axes) == 2
+
+
+def test_the_stored_punches_score_two_exactly_where_the_arm_is_bent():
+    punches = ram.stored_punches()
+    assert punches.game.nunique() == 60
+    assert ((punches.points == 2) == (punches.arm <= 52)).all()
+    assert ((punches.points == 1) == (punches.arm >= 56)).all()
+
+
+def test_the_summary_of_punches_counts_each_boxers_and_their_extremes():
+    punches = pd.DataFrame(
+        [
+            Punch(0, "agent", 1, dx=20, dy=10, arm=56),
+            Punch(0, "agent", 1, dx=26, dy=14, arm=64),
+            Punch(0, "computer", 2, dx=12, dy=16, arm=40),
+        ]
+    )
+    table = ram.summary(punches).set_index(["boxer", "points"])
+    assert table.loc[("agent", 1)].tolist() == [2, 56, 64, 23, 26, 12]
+    assert table.loc[("computer", 2)].tolist() == [1, 40, 40, 12, 12, 16]
+    left, right = ram.punches_figure(punches).axes
+    assert sum(bar.get_height() for bar in left.patches) == 3
+    assert len(right.collections[0].get_offsets()) == 3
 
 
 def test_the_same_actions_repeat_a_game_unless_actions_stick():

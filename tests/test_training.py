@@ -80,7 +80,7 @@ def right_after_a_target_update(trainer):
 STOPS = {
     "before learning starts": lambda trainer: trainer.agent_steps == 6,
     "in the middle of both games": lambda trainer: (
-        trainer.learner.updates > 3 and all(game.length > 20 for game in trainer.games.games)
+        trainer.learner.updates > 3 and all(game.length > 20 for game in trainer.envs.envs)
     ),
     "right after a target update": right_after_a_target_update,
     "while a finished game waits to be reported": lambda trainer: bool(trainer.waiting),
@@ -132,7 +132,7 @@ def test_a_resume_with_one_piece_of_an_older_state_plays_or_learns_differently(s
     stopped, whole, resumed = (Trainer(parameters, "dqn", 2) for _ in range(3))
     episodes_after(stopped, 33)  # before the target network is first renewed
     older = deepcopy(stopped.get_state())
-    while not stopped.games.ended.any():
+    while not stopped.envs.ended.any():
         episodes_after(stopped, 1)
     state = stopped.get_state()
     whole.set_state(state)
@@ -144,7 +144,7 @@ def test_a_resume_with_one_piece_of_an_older_state_plays_or_learns_differently(s
     resumed.set_state(state)
     outcomes = [
         (
-            trainer.learner.q_values(trainer.games.observations()).tolist(),  # what it goes on by
+            trainer.learner.q_values(trainer.envs.observations()).tolist(),  # what it goes on by
             episodes_after(trainer, 40),
             flat(trainer.learner.weights()),
         )
@@ -193,26 +193,26 @@ def transition(s_tm1, a_tm1, r_t, discount_t, s_t):
     return hash(s_tm1.tobytes()), int(a_tm1), float(r_t), float(discount_t), hash(s_t.tobytes())
 
 
-def recorded(games, monkeypatch):
+def recorded(envs, monkeypatch):
     """The list that will hold every transition, as the emulators and the agent saw it."""
     transitions, emulated = [], {}
-    for index, game in enumerate(games.games):
+    for index, env in enumerate(envs.envs):
 
-        def emulate(action, index=index, step=game.step):
+        def emulate(action, index=index, step=env.step):
             result = step(action)
             emulated[index] = (action, result[1], np.float32(0 if result[2] else 0.99))
             return result
 
-        monkeypatch.setattr(game, "step", emulate)
+        monkeypatch.setattr(env, "step", emulate)
 
-    def play(actions, step=games.step):
+    def play(actions, step=envs.step):
         emulated.clear()  # a game that restarts is not stepped
-        before, result, after = games.observations(), step(actions), games.observations()
+        before, result, after = envs.observations(), step(actions), envs.observations()
         for index, experience in emulated.items():
             transitions.append(transition(before[index], *experience, after[index]))
         return result
 
-    monkeypatch.setattr(games, "step", play)
+    monkeypatch.setattr(envs, "step", play)
     return transitions
 
 
@@ -227,7 +227,7 @@ def test_the_memory_holds_each_step_as_it_was_played_and_none_that_restarts_a_ga
         learning_starts=10_000,
     )
     trainer = Trainer(parameters, "dqn", 1)
-    played = recorded(trainer.games, monkeypatch)
+    played = recorded(trainer.envs, monkeypatch)
     episodes_after(trainer, 170)
     assert trainer.agent_steps == len(played)
     assert {action for _, action, *_ in played} == {0, 1, 2, 3}

@@ -53,7 +53,7 @@ def steps(trainer, count):
 def _(make, *_):
     for game, actions in (("boxing", 18), ("breakout", 4)):
         trainer = make(game=game)
-        assert trainer.learner.q_values(trainer.games.observations()).shape[1] == actions
+        assert trainer.learner.q_values(trainer.envs.observations()).shape[1] == actions
 
 
 @case("frame_skip")
@@ -61,7 +61,7 @@ def _(make, *_):
     for skip in (2, 5):
         trainer = make(frame_skip=skip, noop_max=0)
         steps(trainer, 7)
-        assert trainer.games.games[0].frames == 7 * skip
+        assert trainer.envs.envs[0].frames == 7 * skip
 
 
 @case("frame_stack")
@@ -69,14 +69,14 @@ def _(make, *_):
     for stack in (1, 3):
         trainer = make(frame_stack=stack)
         steps(trainer, 3)
-        assert trainer.games.observations().shape[-1] == stack
+        assert trainer.envs.observations().shape[-1] == stack
         assert trainer.memory.sample(2).s_t.shape[-1] == stack
 
 
 @case("noop_max")
 def _(make, *_):
     for most in (0, 3, 30):
-        game = make(noop_max=most).games.games[0]
+        game = make(noop_max=most).envs.envs[0]
         idle = set()
         for _ in range(20):
             game.reset()
@@ -98,7 +98,7 @@ def _(make, monkeypatch, _):
     shares = []
     for probability in (0.0, 0.9):
         trainer, executed = make(sticky_actions=probability, noop_max=0), []
-        game = trainer.games.games[0]
+        game = trainer.envs.envs[0]
         for action in np.tile([1, 2, 3, 4, 5], 20).tolist():
             game.step(action)
             executed.append(game.last_action == action)
@@ -112,7 +112,7 @@ def _(make, *_):
     memories = []
     for difficulty in (0, 3):
         trainer = make(difficulty=difficulty)
-        game, rng = trainer.games.games[0], np.random.default_rng(0)
+        game, rng = trainer.envs.envs[0], np.random.default_rng(0)
         for _ in range(300):
             game.step(int(rng.integers(18)))
         memories.append(game.ram().tobytes())
@@ -333,7 +333,7 @@ def test_no_parameter_is_left_out():
 
 def streams(trainer):
     """Where each random stream of a run stands: its emulators', its memory's and its own."""
-    games = [game.np_random for game in trainer.games.games]
+    games = [game.np_random for game in trainer.envs.envs]
     return [str(rng.bit_generator.state) for rng in (*games, trainer.memory.rng, trainer.rng)]
 
 
@@ -361,10 +361,10 @@ def test_a_game_that_restarts_draws_other_idle_frames(small):
 
 def test_each_game_gets_the_best_action_for_what_is_seen_there(make, monkeypatch):
     trainer = make(environments=2, epsilon_start=0.0, epsilon_floor=0.0)
-    rng, best, play = np.random.default_rng(0), [], trainer.games.step
+    rng, best, play = np.random.default_rng(0), [], trainer.envs.step
 
     def q_values(observations):
-        np.testing.assert_array_equal(observations, trainer.games.observations())
+        np.testing.assert_array_equal(observations, trainer.envs.observations())
         values = rng.random((2, 18))
         best.append(values.argmax(axis=1).tolist())
         return values
@@ -374,7 +374,7 @@ def test_each_game_gets_the_best_action_for_what_is_seen_there(make, monkeypatch
         return play(actions)
 
     monkeypatch.setattr(trainer.learner, "q_values", q_values)
-    monkeypatch.setattr(trainer.games, "step", step)
+    monkeypatch.setattr(trainer.envs, "step", step)
     steps(trainer, 10)
     assert len(best) == 10
 

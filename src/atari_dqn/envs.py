@@ -304,15 +304,15 @@ class VectorEnv:
 
     def __init__(self, params: Parameters, seed: np.random.SeedSequence):
         self.params = params
-        self.games = [make_env(params) for _ in range(params.environments)]
-        self.actions = len(self.games[0].actions)
+        self.envs = [make_env(params) for _ in range(params.environments)]
+        self.actions = len(self.envs[0].actions)
         # The last `frame_stack` images of every game, oldest first. Planes, since the newest are
         # the replay memory's and one call interleaves them into observations.
-        self.planes = np.zeros((params.frame_stack, len(self.games), SIZE * SIZE), np.uint8)
-        self.ended = np.zeros(len(self.games), bool)
-        seeds = seed.generate_state(len(self.games))
-        for index, game in enumerate(self.games):
-            self.planes[:, index] = game.reset(seed=int(seeds[index]))[0].reshape(-1)
+        self.planes = np.zeros((params.frame_stack, len(self.envs), SIZE * SIZE), np.uint8)
+        self.ended = np.zeros(len(self.envs), bool)
+        seeds = seed.generate_state(len(self.envs))
+        for index, env in enumerate(self.envs):
+            self.planes[:, index] = env.reset(seed=int(seeds[index]))[0].reshape(-1)
 
     def observations(self) -> np.ndarray:
         """uint8 [E, 84, 84, frame_stack], the newest image last."""
@@ -320,36 +320,34 @@ class VectorEnv:
 
     def step(self, actions: np.ndarray) -> VectorStep:
         """Steps every game by its action (int [E])."""
-        count = len(self.games)
+        count = len(self.envs)
         rewards, terminated = np.zeros(count, np.float32), np.zeros(count, bool)
         self.planes[:-1] = self.planes[1:]
         finished = []
-        for index, game in enumerate(self.games):
+        for index, env in enumerate(self.envs):
             if self.ended[index]:
-                self.planes[:, index] = game.reset()[0].reshape(-1)
+                self.planes[:, index] = env.reset()[0].reshape(-1)
                 self.ended[index] = False
                 continue
-            image, raw, terminated[index], truncated, info = game.step(int(actions[index]))
+            image, raw, terminated[index], truncated, info = env.step(int(actions[index]))
             self.planes[-1, index] = image.reshape(-1)
             rewards[index] = learned_reward(self.params, raw, info["life_lost"])
             if terminated[index] or truncated:
                 self.ended[index] = True
-                finished.append(
-                    FinishedEpisode(game.score, game.length, game.frames, game.played())
-                )
-        ages = np.array([game.length for game in self.games], np.int32)
+                finished.append(FinishedEpisode(env.score, env.length, env.frames, env.played()))
+        ages = np.array([env.length for env in self.envs], np.int32)
         return VectorStep(self.planes[-1], ages, rewards, terminated, finished)
 
     def get_state(self) -> dict[str, Any]:
         return {
-            "games": [game.get_state() for game in self.games],
+            "games": [env.get_state() for env in self.envs],
             "planes": self.planes,
             "ended": self.ended,
         }
 
     def set_state(self, state: dict[str, Any]) -> None:
-        for game, saved in zip(self.games, state["games"], strict=True):
-            game.set_state(saved)
+        for env, saved in zip(self.envs, state["games"], strict=True):
+            env.set_state(saved)
         self.planes[:] = state["planes"]
         self.ended[:] = state["ended"]
 

@@ -36,7 +36,7 @@ class EvaluationEpisode:
     won: bool
     knockout: int  # 1 given, -1 received, 0 neither
     difficulty: int
-    sticky_actions: float  # probability a frame
+    sticky_actions: float  # probability per frame
     epsilon: float  # probability of a random action
     seed: int
     scored: float  # points of the agent alone
@@ -113,25 +113,25 @@ def play(player: Player, params: Parameters, games: int, seed: int) -> Iterator[
     Every game that is begun is counted, so that short games are not favoured.
     """
     waiting = iter(range(games))
-    tables = []
+    playing = []
     for game in waiting:
-        tables.append(EpisodeInProgress(params))
-        tables[-1].start(game, seed)
-        if len(tables) == EMULATORS:
+        playing.append(EpisodeInProgress(params))
+        playing[-1].start(game, seed)
+        if len(playing) == EMULATORS:
             break
     epsilon = params.evaluation_epsilon
-    while tables:
-        q_values = q_of(player, np.stack([table.planes for table in tables], axis=1))
-        for table, q_value in zip(list(tables), q_values, strict=True):
-            action = epsilon_greedy(q_value[None], epsilon, table.rng)[0]
-            if not table.step(int(action)):
+    while playing:
+        q_values = q_of(player, np.stack([episode.planes for episode in playing], axis=1))
+        for episode, q_value in zip(list(playing), q_values, strict=True):
+            action = epsilon_greedy(q_value[None], epsilon, episode.rng)[0]
+            if not episode.step(int(action)):
                 continue
-            yield table.result(seed)
+            yield episode.result(seed)
             following = next(waiting, None)
             if following is None:
-                tables.remove(table)
+                playing.remove(episode)
             else:
-                table.start(following, seed)
+                episode.start(following, seed)
 
 
 def conditions(params: Parameters) -> list[Parameters]:
@@ -166,15 +166,15 @@ class ValueCheck:
 
 def held_out_states(params: Parameters) -> np.ndarray:
     """Observations of random play, uint8 [512, 84, 84, stack]: one in eight steps."""
-    table, rng = EpisodeInProgress(params), np.random.default_rng(0)
+    episode, rng = EpisodeInProgress(params), np.random.default_rng(0)
     game, states = 0, []
-    table.start(game, seed=0)
+    episode.start(game, seed=0)
     for step in range(8 * HELD_OUT_STATES):
         if step % 8 == 0:
-            states.append(interleave(table.planes[:, None])[0])
-        if table.step(int(rng.integers(len(table.env.actions)))):
+            states.append(interleave(episode.planes[:, None])[0])
+        if episode.step(int(rng.integers(len(episode.env.actions)))):
             game += 1
-            table.start(game, seed=0)
+            episode.start(game, seed=0)
     return np.stack(states)
 
 
@@ -186,29 +186,29 @@ def check_values(
     `held_out` are observations [N, 84, 84, stack], of which the mean greatest value is taken. The
     games are returned too.
     """
-    tables = [EpisodeInProgress(params) for _ in range(VALUE_GAMES)]
-    for number, table in enumerate(tables):
-        table.start(VALUE_GAMES * episode + number, seed)
-    predictions: list[list[float]] = [[] for _ in tables]
+    greedy = [EpisodeInProgress(params) for _ in range(VALUE_GAMES)]
+    for number, each in enumerate(greedy):
+        each.start(VALUE_GAMES * episode + number, seed)
+    predictions: list[list[float]] = [[] for _ in greedy]
     playing = list(range(VALUE_GAMES))
     while playing:
-        q_values = q_of(player, np.stack([tables[number].planes for number in playing], axis=1))
+        q_values = q_of(player, np.stack([greedy[number].planes for number in playing], axis=1))
         for number, q_value in zip(list(playing), q_values, strict=True):
             predictions[number].append(float(q_value.max()))
-            rng = tables[number].rng
+            rng = greedy[number].rng
             action = epsilon_greedy(q_value[None], params.evaluation_epsilon, rng)[0]
-            if tables[number].step(int(action)):
+            if greedy[number].step(int(action)):
                 playing.remove(number)
-    returns = np.concatenate([discounted(table.rewards, params.gamma) for table in tables])
+    returns = np.concatenate([discounted(each.rewards, params.gamma) for each in greedy])
     held_out_q = player(held_out).max(axis=1)
     check = ValueCheck(
         episode,
         float(held_out_q.mean()),
         float(np.concatenate(predictions).mean()),
         float(returns.mean()),
-        float(np.mean([table.env.score for table in tables])),
+        float(np.mean([each.env.score for each in greedy])),
     )
-    return check, [table.result(seed) for table in tables]
+    return check, [each.result(seed) for each in greedy]
 
 
 def discounted(rewards: list[float], gamma: float) -> np.ndarray:

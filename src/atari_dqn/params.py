@@ -88,27 +88,27 @@ class Parameters(BaseModel):
     frame_stack: int = Field(4, ge=1, le=8, description="images an observation holds")
     noop_max: int = Field(30, ge=0, description="frames; most idle frames at a game's start")
     max_game_frames: int = Field(108_000, ge=1, description="frames after which a game is cut")
-    sticky_actions: Number = Field(0.0, ge=0, lt=1, description="probability a frame")
+    sticky_actions: Number = Field(0.0, ge=0, lt=1, description="probability per frame")
     difficulty: int = Field(0, ge=0, le=3, description="switches; 1 slows the agent, 2 its rival")
     clip_rewards: bool = Field(True, description="learn from the reward's sign only")
     life_loss_penalty: Number = Field(0.0, ge=0, description="reward subtracted for a lost life")
 
     # Training: exploration
     epsilon_start: Number = Field(1.0, ge=0, le=1, description="probability of a random action")
-    epsilon_decay: Number = Field(0.995, gt=0, le=1, description="factor a finished game")
+    epsilon_decay: Number = Field(0.995, gt=0, le=1, description="factor per finished game")
     epsilon_floor: Number = Field(0.01, ge=0, le=1, description="probability; epsilon's lowest")
 
     # Training: replay and learning
     environments: int = Field(8, ge=1, le=64, description="emulators stepped in turn")
     replay_capacity: int = Field(1_000_000, ge=1, description="transitions remembered")
     learning_starts: int = Field(20_000, ge=0, description="agent steps before the first update")
-    update_period: int = Field(4, ge=1, description="agent steps an update")
-    batch_size: int = Field(32, ge=1, description="transitions an update")
+    update_period: int = Field(4, ge=1, description="agent steps per update")
+    batch_size: int = Field(32, ge=1, description="transitions per update")
     learning_rate: Number = Field(1e-4, gt=0, description="step size of Adam")
     warmup_games: int = Field(0, ge=0, description="games in which the learning rate rises")
     warmup_learning_rate: Number = Field(0.0, ge=0, description="step size before the first game")
     adam_epsilon: Number = Field(1e-8, gt=0, description="added to Adam's denominator")
-    gamma: Number = Field(0.99, ge=0, lt=1, description="discount an agent step")
+    gamma: Number = Field(0.99, ge=0, lt=1, description="discount per agent step")
     target_update_period: int = Field(2000, ge=1, description="updates between target updates")
     tau: Number = Field(1.0, gt=0, le=1, description="share of the way to the online weights")
 

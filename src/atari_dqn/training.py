@@ -82,7 +82,7 @@ class Trainer:
     ):
         seeds = np.random.SeedSequence(seed).spawn(4)
         self.params = params
-        self.games = VectorEnv(params, seeds[0])
+        self.envs = VectorEnv(params, seeds[0])
         self.memory = ReplayMemory(
             params.replay_capacity,
             params.environments,
@@ -92,12 +92,12 @@ class Trainer:
         )
         self.rng = np.random.default_rng(seeds[2])  # exploration
         weights_seed = int(seeds[3].generate_state(1)[0])
-        self.learner = new_learner(AGENTS[agent], self.games.actions, params, weights_seed, initial)
+        self.learner = new_learner(AGENTS[agent], self.envs.actions, params, weights_seed, initial)
         self.agent_steps, self.episodes, self.frames = 0, 0, 0
         self.sums = np.zeros(3)  # loss, Q-value, updates since games last finished
         self.means = (float("nan"), float("nan"))
         self.waiting: deque[Episode] = deque()  # games that ended together are reported in turn
-        images = self.games.planes[-1]
+        images = self.envs.planes[-1]
         idle = np.zeros(params.environments)
         self.memory.append(images, idle, idle, idle, idle)  # the first images, of age 0
 
@@ -113,10 +113,10 @@ class Trainer:
 
     def _step(self) -> None:
         probability = epsilon(self.params, self.episodes)
-        q_values = self.learner.q_values(self.games.observations())
+        q_values = self.learner.q_values(self.envs.observations())
         actions = epsilon_greedy(q_values, probability, self.rng)
-        self.agent_steps += int((~self.games.ended).sum())  # an ended game only restarts
-        step = self.games.step(actions)
+        self.agent_steps += int((~self.envs.ended).sum())  # an ended game only restarts
+        step = self.envs.step(actions)
         self.memory.append(step.images, step.ages, actions, step.rewards, step.terminated)
         self._learn()
         if step.finished:
@@ -154,7 +154,7 @@ class Trainer:
     def get_state(self) -> dict[str, Any]:
         """Everything that decides how the run goes on: nested, of numbers, bytes and arrays."""
         return {
-            "games": self.games.get_state(),
+            "games": self.envs.get_state(),
             "memory": self.memory.get_state(),
             "learner": self.learner.get_state(),
             "rng": self.rng.bit_generator.state,
@@ -168,7 +168,7 @@ class Trainer:
 
     def set_state(self, state: dict[str, Any]) -> None:
         """Restores what `get_state` returned."""
-        self.games.set_state(state["games"])
+        self.envs.set_state(state["games"])
         self.memory.set_state(state["memory"])
         self.learner.set_state(state["learner"])
         self.rng.bit_generator.state = state["rng"]

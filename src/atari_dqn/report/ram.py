@@ -16,8 +16,11 @@ from matplotlib.figure import Figure
 from atari_dqn.envs import AtariEnv
 from atari_dqn.games import GAMES, boxing_points
 from atari_dqn.report.plots import WIDTH
+from atari_dqn.runs.files import project_root
 
 HOLD = 4  # frames that a random action is held, as an agent would
+STORED = "results/benchmarks/punches.csv"
+PALETTE = {1: "#56b4e9", 2: "#cc79a7"}  # of points
 
 
 class Cells(NamedTuple):
@@ -71,11 +74,33 @@ def scoring_punches(games: int, seed: int = 0) -> Iterator[tuple[Punch, np.ndarr
             before = after
 
 
+def first_pictures(seed: int = 0) -> dict[int, np.ndarray]:
+    """The picture at the agent's first punch for one point and at its first for two, by points."""
+    pictures: dict[int, np.ndarray] = {}
+    for punch, picture in scoring_punches(1, seed):
+        if punch.boxer == "agent":
+            pictures.setdefault(punch.points, picture)
+        if len(pictures) == 2:
+            break
+    return pictures
+
+
+def stored_punches() -> pd.DataFrame:
+    """A row per punch (`Punch`), as `benchmarks/punches.py` stored them."""
+    return pd.read_csv(project_root() / STORED)
+
+
 def summary(punches: pd.DataFrame) -> pd.DataFrame:
-    """A row a boxer and number of points: how many punches, how near, how far the arm was out."""
-    near, arm = ("min", "median", "max"), ("min", "max")
-    columns = {"punches": ("dx", "size")} | {f"distance, {how}": ("dx", how) for how in near}
-    columns |= {f"arm, {how}": ("arm", how) for how in arm}
+    """A row per boxer and number of points: how many punches, how far the arm was out, and how
+    near the other boxer was."""
+    columns = {
+        "punches": ("arm", "size"),
+        "arm, least": ("arm", "min"),
+        "arm, most": ("arm", "max"),
+        "across, median": ("dx", "median"),
+        "across, most": ("dx", "max"),
+        "along, median": ("dy", "median"),
+    }
     return punches.groupby(["boxer", "points"]).agg(**columns).reset_index()
 
 
@@ -90,13 +115,27 @@ def frames_figure(pictures: dict[int, np.ndarray]) -> Figure:
 
 
 def punches_figure(punches: pd.DataFrame) -> Figure:
-    """The punches by distance, and by how far the arm was out."""
-    figure, (left, right) = plt.subplots(1, 2, figsize=(WIDTH, 2.5), sharey=False)
-    shared = {"hue": "points", "multiple": "stack", "palette": "colorblind", "alpha": 0.85}
-    sns.histplot(punches, x="dx", discrete=True, ax=left, legend=False, **shared)
-    left.set(xlabel="horizontal distance of the boxers (pixels)", ylabel="punches that scored")
-    sns.histplot(punches, x="arm", bins=np.arange(28, 77, 8), ax=right, **shared)
-    right.set(xlabel="how far the arm was out (72: fully)", ylabel="", xticks=range(32, 73, 8))
+    """The punches by how far the arm was out, and by where the other boxer stood."""
+    figure, (left, right) = plt.subplots(1, 2, figsize=(WIDTH, 2.7))
+    shared = {"hue": "points", "palette": PALETTE}
+    bins = np.arange(28, 77, 4)
+    sns.histplot(punches, x="arm", bins=bins, multiple="stack", ax=left, **shared)
+    left.set(xlabel="how far the arm was out (72: fully)", ylabel="punches that scored")
+    left.set(yscale="log", xticks=range(32, 73, 8))
+    places = punches.groupby(["points", "dx", "dy"]).size().reset_index(name="punches")
+    places = places.sort_values("punches", ascending=False)  # small marks above large ones
+    sns.scatterplot(
+        places,
+        x="dx",
+        y="dy",
+        size="punches",
+        sizes=(4, 60),
+        alpha=0.7,
+        ax=right,
+        legend=False,
+        **shared,
+    )
+    right.set(xlabel="distance across (pixels)", ylabel="distance along (pixels)")
     return figure
 
 
