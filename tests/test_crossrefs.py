@@ -53,7 +53,7 @@ def test_references_become_links_with_numbers_in_the_order_of_the_text():
         "[Section\N{NO-BREAK SPACE}2.1](#sec-second-part){.ref}",
     ):
         assert link in text
-    assert r"[$$a = b\qquad (1) $$]{#eq-one .equation}" in text
+    assert '[$$a = b$$]{#eq-one .equation number="1"}' in text
     assert "[@mnih2015]" in text, "citations are pandoc's"
 
 
@@ -61,9 +61,39 @@ def test_what_is_still_absent_has_no_number_but_can_be_referred_to():
     assert "[figure still to come](#fig-later){.ref}" in crossrefs.finish(TEXT)
 
 
+APPENDICES = """
+# Runs {#sec-runs .appendix}
+
+See @sec-table.
+
+## Table {#sec-table}
+
+## Rest
+
+# Speed {.appendix}
+
+# References {.unnumbered}
+"""
+
+
+def test_appendices_are_lettered_and_called_so():
+    text = crossrefs.finish(TEXT + APPENDICES)
+    headings = re.findall("^#.*", text.partition("# Runs")[1] + text.partition("# Runs")[2], re.M)
+    assert headings == [
+        '# Runs {#sec-runs .appendix number="A"}',
+        '## Table {#sec-table number="A.1"}',
+        '## Rest {number="A.2"}',
+        '# Speed {.appendix number="B"}',
+        "# References {.unnumbered}",
+    ]
+    assert "[Appendix\N{NO-BREAK SPACE}A.1](#sec-table){.ref}" in text
+    assert "# Second {#sec-second}\n" in text, "chapters are pandoc's to number"
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [
+        (TEXT + APPENDICES + "\n# Late\n", "a chapter after the appendices is none itself: Late"),
         (TEXT + "\nAnd @fig-nowhere.", "labels that do not exist: fig-nowhere"),
         (TEXT + FIGURE, "labels given twice: fig-one"),
         (TEXT.replace(' alt="A picture of something."', ""), "text alternative .*: fig-one"),

@@ -184,7 +184,8 @@ def test_a_section_is_executed_again_only_if_something_of_its_own_changed(built)
 
 def test_the_page_needs_no_network(built):
     html = (built / "index.html").read_text()
-    assert not re.search(r"""(src|srcset|href)=["'](https?:)?//""", html)
+    assert not re.search(r"""(src|srcset)=["'](https?:)?//""", html)
+    assert not re.search(r"""<link[^>]* href=["'](https?:)?//""", html)
     assert "@import" not in html
     assert not re.search(r"url\(['\"]?http", html)
 
