@@ -13,12 +13,11 @@ from typing import Any
 
 from atari_dqn.params import ParameterError
 from atari_dqn.runs import recorder
-from atari_dqn.runs.checkpoints import CheckpointError
 from atari_dqn.runs.files import RunError
 from atari_dqn.runs.plan import DAMAGED
 from atari_dqn.runs.run import COMPLETE, MISSING, STALE, Run
 
-KNOWN = (RunError, CheckpointError, ParameterError)  # whose messages say what to do
+KNOWN = (RunError, ParameterError)  # whose messages say what to do
 
 
 def startable(wanted: list[Run]) -> tuple[list[Run], list[str]]:
