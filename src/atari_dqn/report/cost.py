@@ -27,14 +27,14 @@ def best_setups(measured: pd.DataFrame) -> pd.DataFrame:
 def draw_throughput(best: pd.DataFrame) -> plt.Figure:
     """Bars of agent steps a second, and the roofline of direct convolutions for each agent."""
     figure, axes = plt.subplots(figsize=(plots.WIDTH, 2.6))
-    colours = {params.title(agent): plots.COLOURS[agent] for agent in best.agent.unique()}
+    colours = {params.title(agent): plots.STYLES[agent].colour for agent in best.agent.unique()}
     shown = best.assign(agent=best.agent.map(lambda agent: params.title(agent)))
     sns.barplot(shown, x="steps_per_second", y="library", hue="agent", palette=colours, ax=axes)
     for bars in axes.containers:
         axes.bar_label(bars, fmt="%.0f", padding=3, fontsize="small")
     ours = best[best.library == OURS].set_index("agent")
     for agent, roof in (ours.steps_per_second / ours.share_of_direct_roofline).items():
-        axes.axvline(roof, color=plots.COLOURS[agent], ls="--", lw=1)
+        axes.axvline(roof, color=plots.STYLES[agent].colour, ls=plots.STYLES[agent].line, lw=1.2)
         axes.annotate(
             "roofline", (roof, 0.02), xycoords=("data", "axes fraction"), xytext=(-2, 0),
             textcoords="offset points", rotation=90, ha="right", fontsize="x-small", color="0.35",
