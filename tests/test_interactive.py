@@ -194,6 +194,13 @@ def test_the_values_are_those_of_the_panel_under_the_pointer(page, number, x, na
     assert low + share * (high - low) == pytest.approx(x, rel=0.02)
 
 
+def test_the_page_shows_the_figure_and_none_of_the_numbers_behind_it(page):
+    browser, _ = page
+    text = browser.evaluate("document.body.innerText")
+    assert "Curves." in text
+    assert "panels" not in text
+
+
 def test_points_are_told_where_they_stand_only(page):
     browser, (main, frames, _) = page
     point(browser, main, 200)

@@ -12,7 +12,7 @@ function interactive(image, { panels, switches }) {
 
   // Values: a line where the pointer is, and a box outside of the panel, which covers no curve.
   const frame = document.createElement("span");
-  frame.className = "curves";
+  frame.className = "plot";
   image.replaceWith(frame);
   const marker = document.createElement("span");
   marker.className = "marker";
