@@ -1,8 +1,10 @@
 """What the figures' axes hold: every curve its own numbers, in its own unit, under its own name."""
 
+import cv2
 import numpy as np
 import pandas as pd
 import pytest
+from matplotlib import pyplot as plt
 from synthetic import AGENTS, TITLES, check, evaluate, lines_of, named_lines, numbers, store, study
 
 from atari_dqn.analysis.study import Section
@@ -322,3 +324,23 @@ def test_smoothing_never_mixes_seeds_agents_or_variations():
     smooth = plots.smoothed(table, 2)
     assert sorted(smooth.episode.unique()) == [2, 3]
     assert (smooth["mean"] == smooth.variation + smooth.agent + smooth.seed).all()
+
+
+def test_preprocessing_is_drawn_with_the_pictures_of_one_real_step():
+    """The grey image is the greater of the last two frames, resized; the stack ends with it."""
+    figure = plots.preprocessing(["boxing"])
+    shown = [axes.get_images()[0].get_array() for axes in figure.axes if axes.get_images()]
+    third, fourth, greatest, small, *stack = shown
+    assert [one.shape for one in (third, fourth, greatest)] == [(210, 160, 3)] * 2 + [(210, 160)]
+    assert (third != fourth).any(), "two different frames"
+    grey = [cv2.cvtColor(one.data, cv2.COLOR_RGB2GRAY).astype(int) for one in (third, fourth)]
+    assert np.abs(np.maximum(*grey) - greatest.astype(int)).mean() < 1
+    resized = cv2.resize(greatest.data, (84, 84), interpolation=cv2.INTER_AREA)
+    assert (small == resized).all()
+    assert len(stack) == 4
+    assert (stack[-1] == small).all()
+    assert (stack[0] != small).any()
+    written = " ".join(text.get_text() for axes in figure.axes for text in axes.texts)
+    for word in ("maximum", "resize", "stack", "clipped", "Boxing"):
+        assert word in written
+    plt.close(figure)

@@ -1,4 +1,4 @@
-"""Every figure about scores, in one style: colour-blind safe, told apart by line style too.
+"""Every plot, in one style: colour-blind safe, told apart by line style too.
 
 An agent has one colour and one kind of line in all figures and videos (`STYLES`), and no other
 thing has one of these colours: settings, and stages of one agent, are shades of another
@@ -6,7 +6,8 @@ thing has one of these colours: settings, and stages of one agent, are shades of
 """
 
 import textwrap
-from itertools import cycle
+from collections import deque
+from itertools import cycle, pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -24,7 +25,7 @@ from scipy import stats
 
 from atari_dqn import params
 from atari_dqn.analysis.statistics import interval, trailing_mean
-from atari_dqn.envs import AtariEnv
+from atari_dqn.envs import SIZE, AtariEnv
 from atari_dqn.games import GAMES, GameFacts
 from atari_dqn.report.interactive import named
 
@@ -335,21 +336,87 @@ def score_distributions(evaluations: pd.DataFrame, facts: GameFacts | None) -> F
     return figure
 
 
+class _Watched(AtariEnv):
+    """Keeps the television's pictures of the latest step, uint8 [210, 160, 3] each."""
+
+    def __init__(self, game: str):
+        super().__init__(game)
+        self.pictures: deque[np.ndarray] = deque(maxlen=self.frame_skip)
+
+    def _act(self, action: int) -> float:
+        points = super()._act(action)
+        self.pictures.append(self.render())
+        return points
+
+    def maximum(self) -> np.ndarray:
+        """The grey screen that the latest image was made from, uint8 [210, 160]."""
+        return self._screens[0]
+
+
 def preprocessing(games: list[str]) -> Figure:
-    """The television's picture of each game, and an observation's four images, oldest first."""
-    size = (WIDTH, 1.75 * len(games))
-    widths = {"width_ratios": [1.1, 1, 1, 1, 1]}
-    figure, rows = plt.subplots(len(games), 5, figsize=size, gridspec_kw=widths)
-    for axes, name in zip(rows, games, strict=True):
-        game = AtariEnv(name)
+    """From the frames of an agent step to an observation, with pictures of each game; and from its
+    points to a reward."""
+    stack, side = 4, 0.77  # images; inches
+    high, pitch, gap, shift = side * 210 / 160, 1.3, 0.5, 0.15
+    height = pitch * len(games) + 0.95
+    figure = plt.figure(figsize=(WIDTH, height), layout="none")
+    sheet = figure.add_axes((0, 0, 1, 1))
+    sheet.set(xlim=(0, WIDTH), ylim=(0, height))
+    sheet.axis("off")
+
+    def show(picture: np.ndarray, x: float, y: float, tall: float) -> None:
+        where = (x / WIDTH, y / height, side / WIDTH, tall / height)
+        axes = figure.add_axes(where, xticks=[], yticks=[])
+        axes.grid(False)
+        axes.imshow(picture, cmap="gray", vmin=0, vmax=255, aspect="auto")
+        axes.spines[:].set(visible=True, color="white", lw=1)
+
+    def arrow(start: float, end: float, y: float, label: str) -> None:
+        how = {"arrowstyle": "-|>", "color": SOFT, "shrinkA": 0, "shrinkB": 0}
+        sheet.annotate("", (end, y), (start, y), arrowprops=how)
+        sheet.text((start + end) / 2, y + 0.06, label, ha="center", va="bottom", size=8, color=INK)
+
+    frames = (0.32, 0.32 + side + 0.05)
+    greatest = frames[1] + side + gap
+    small = greatest + side + gap
+    stacked = small + side + gap
+    for row, name in enumerate(games):
+        base = height - 0.42 - pitch * row - high
+        middle, lower = base + high / 2, base + (high - side) / 2
+        game = _Watched(name)
         images = [game.reset(seed=1)[0]]
         for action in np.random.default_rng(0).integers(len(game.actions), size=60):
             images.append(game.step(int(action))[0])
-        axes[0].imshow(game.render())
-        axes[0].set_title(f"{GAMES[name].title}: 160 x 210, colour", fontsize="small", loc="left")
-        for place, image in enumerate(images[-4:], start=1):
-            axes[place].imshow(image, cmap="gray", vmin=0, vmax=255)
-            axes[place].set_title(["84 x 84, grey", "", "", "newest"][place - 1], fontsize="small")
-        for panel in axes:
-            panel.axis("off")
+        for picture, x in zip(list(game.pictures)[-2:], frames, strict=True):
+            show(picture, x, base, high)
+        show(game.maximum(), greatest, base, high)
+        show(images[-1], small, lower, side)
+        for place, image in enumerate(images[-stack:]):  # the newest in front
+            depth = stack / 2 - 0.5 - place
+            show(image, stacked + place * shift, lower + depth * 0.12, side)
+        arrow(frames[1] + side + 0.05, greatest - 0.05, middle, "grey,\nmaximum")
+        arrow(greatest + side + 0.05, small - 0.05, middle, "resize")
+        arrow(small + side + 0.05, stacked - 0.05, middle, "stack")
+        sheet.text(0.1, middle, GAMES[name].title, rotation=90, va="center", weight="bold", size=9)
+    ends = stacked + side + (stack - 1) * shift
+    heads = (
+        ((frames[0] + frames[1] + side) / 2, "the last two of four frames"),
+        (greatest + side / 2, "grey, 160 × 210"),
+        (small + side / 2, f"{SIZE} × {SIZE}"),
+        ((stacked + ends) / 2, f"observation: {stack} images"),
+    )
+    for x, text in heads:
+        sheet.text(x, height - 0.2, text, ha="center", va="center", size=9, color=INK)
+    lane = 0.3
+    places = (heads[0][0], (greatest + small + side) / 2, heads[3][0])
+    told = (
+        "points of the four\nframes, added up",
+        "clipped to\n−1, 0 or 1",
+        "reward that is\nlearnt from",
+    )
+    box = {"boxstyle": "round,pad=0.35", "fc": "0.95", "ec": SOFT, "lw": 0.8}
+    for x, text in zip(places, told, strict=True):
+        sheet.text(x, lane, text, ha="center", va="center", size=9, color=INK, bbox=box)
+    for start, end in pairwise(places):
+        arrow(start + 0.72, end - 0.6, lane, "")
     return figure
