@@ -71,6 +71,8 @@ def style() -> None:
             "mathtext.rm": FONT,
             "mathtext.it": f"{FONT}:italic",
             "mathtext.bf": f"{FONT}:bold",
+            "mathtext.cal": f"{FONT}:italic",
+            "mathtext.sf": FONT,
             "svg.hashsalt": "atari-dqn",
             "svg.fonttype": "path",
             "legend.frameon": False,
