@@ -5,6 +5,7 @@ import json
 import pandas as pd
 import seaborn as sns
 from matplotlib import pyplot as plt
+from matplotlib.patheffects import withStroke
 
 from atari_dqn import params
 from atari_dqn.analysis.study import Study, data, hours, peak_megabytes
@@ -29,12 +30,15 @@ def draw_throughput(best: pd.DataFrame) -> plt.Figure:
     figure, axes = plt.subplots(figsize=(plots.WIDTH, 2.6))
     colours = {params.title(agent): plots.STYLES[agent].colour for agent in best.agent.unique()}
     shown = best.assign(agent=best.agent.map(lambda agent: params.title(agent)))
-    sns.barplot(shown, x="steps_per_second", y="library", hue="agent", palette=colours, ax=axes)
+    shared = {"x": "steps_per_second", "y": "library", "hue": "agent", "palette": colours}
+    sns.barplot(shown, **shared, saturation=1, ax=axes)
     for bars in axes.containers:
         axes.bar_label(bars, fmt="%.0f", padding=3, fontsize="small")
     ours = best[best.library == OURS].set_index("agent")
     for agent, roof in (ours.steps_per_second / ours.share_of_direct_roofline).items():
-        axes.axvline(roof, color=plots.STYLES[agent].colour, ls=plots.STYLES[agent].line, lw=1.2)
+        look = plots.STYLES[agent]
+        casing = [withStroke(linewidth=3, foreground="white")]  # across bars of its own colour
+        axes.axvline(roof, color=look.colour, ls=look.line, lw=1.2, path_effects=casing)
         axes.annotate(
             "roofline", (roof, 0.02), xycoords=("data", "axes fraction"), xytext=(-2, 0),
             textcoords="offset points", rotation=90, ha="right", fontsize="x-small", color="0.35",
