@@ -156,13 +156,11 @@ class Shown:
 
     def __init__(self):
         self.texts, self.tables, self.figures, self.captions = [], {}, {}, {}
-        self.hovers = {}
 
     def display(self, thing, metadata=None, raw=False):
         if isinstance(thing, Figure):
             (meta,) = metadata.values()
             self.figures[meta["label"]], self.captions[meta["label"]] = thing, meta["caption"]
-            self.hovers[meta["label"]] = meta["hover"]
             return
         text = (metadata or {}).get("text/markdown", {}).get("report", str(thing))
         if not text:

@@ -146,11 +146,12 @@ def test_the_exploring_notebook_plays_a_stored_agent(built, tmp_path):
 def test_figures_say_where_they_come_from_and_curves_show_their_values(built):
     html = (built / "index.html").read_text()
     assert html.count('class="origin"') >= html.count("<figure")
-    hovers = re.findall(r'<script type="application/json" class="hover"[^>]*>(.*?)</script>', html)
-    assert hovers
-    for hover in map(json.loads, hovers):
-        assert 0 < hover["axes"]["left"] < hover["axes"]["left"] + hover["axes"]["width"] <= 1
-        assert all(len(curve["xs"]) == len(curve["ys"]) for curve in hover["curves"])
+    found = re.findall(r'<script type="application/json" class="curves"[^>]*>(.*?)</script>', html)
+    assert found
+    for panel in (panel for curves in map(json.loads, found) for panel in curves["panels"]):
+        assert 0 < panel["left"] < panel["left"] + panel["width"] <= 1
+        assert 0 < panel["top"] < panel["top"] + panel["height"] <= 1
+        assert panel["artists"]
 
 
 def test_rendering_again_gives_the_same_bytes(built):

@@ -9,7 +9,7 @@ from synthetic import AGENTS, check, evaluate, numbers, store, study, window, wi
 
 from atari_dqn import params
 from atari_dqn.analysis.study import Section
-from atari_dqn.report import notebook, outputs, results
+from atari_dqn.report import notebook, outputs, plots, results
 from atari_dqn.runs import plan, recorder
 from atari_dqn.runs.files import project_root
 
@@ -153,11 +153,14 @@ def test_a_sweep_has_a_row_a_variation_beside_the_same_games_of_the_unchanged_se
     for row in rows:
         low, high = numbers(row["95% interval"])
         assert low < float(row[mean]) < high
-    (axes,) = shown.figures["fig-boxing-sensitivity-curves"].axes
-    names = [text.get_text() for text in axes.get_legend().get_texts()]
-    assert names == [name for name, *_ in found]
-    ends = [line.get_xdata()[-1] for line in axes.get_lines() if len(line.get_xdata()) > 2]
-    assert ends == [500, 500, 200, 500]
+    _, *changed = found
+    panels = [one for one in shown.figures["fig-boxing-sensitivity-curves"].axes if one.lines]
+    assert [axes.get_title(loc="left") for axes in panels] == [name for name, *_ in changed]
+    for axes, (_, games, *_) in zip(panels, changed, strict=True):
+        unchanged, change = axes.get_lines()
+        assert unchanged.get_color() == plots.STYLES[DUELING].colour != change.get_color()
+        assert unchanged.get_linewidth() > change.get_linewidth()
+        assert [line.get_xdata()[-1] for line in (unchanged, change)] == [500, int(games)]
     assert numbers(shown.captions["fig-boxing-sensitivity-curves"])[0] == 16
 
 

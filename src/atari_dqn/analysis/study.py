@@ -70,13 +70,15 @@ class Section:
 
     @cached_property
     def episodes(self) -> pd.DataFrame:
-        """A row a training game: `training.Episode`, agent, seed, variation, seconds so far."""
+        """A row a training game: `training.Episode`, agent, seed, variation, and the seconds so
+        far by the clock and of processor time."""
         tables = []
         for run in self.usable:
             table = read_table([run], "episodes.csv")
             timing = read_table([run], "timing.csv")
             if not table.empty:
-                tables.append(table.merge(timing[["episode", "seconds"]], "left", "episode"))
+                columns = ["episode", "seconds", "cpu_seconds"]
+                tables.append(table.merge(timing[columns], "left", "episode"))
         return pd.concat(tables, ignore_index=True) if tables else pd.DataFrame()
 
     @cached_property

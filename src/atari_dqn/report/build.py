@@ -167,6 +167,12 @@ def _section(path: Path, made: Path) -> str:
     return body
 
 
+def _script() -> str:
+    """What runs in the page: `curves.js` uses functions of `report.js`."""
+    parts = ("report.js", "curves.js")
+    return "\n".join((TEMPLATES / part).read_text(encoding="utf-8") for part in parts)
+
+
 def _typeset(text: str, stamp: str, made: Path) -> None:
     """Markdown to `made`/index.html and report.pdf."""
     root = project_root()
@@ -193,8 +199,9 @@ def _typeset(text: str, stamp: str, made: Path) -> None:
         "--mathml",
         "--toc",
         "--toc-depth=2",
-        f"--variable=script:{(TEMPLATES / 'report.js').read_text(encoding='utf-8')}",
+        f"--variable=script:{_script()}",
         f"--css={TEMPLATES / 'report.css'}",
+        f"--css={TEMPLATES / 'curves.css'}",
         f"--template={TEMPLATES / 'report.html'}",
     ]
     pypandoc.convert_text(

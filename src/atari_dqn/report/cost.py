@@ -5,6 +5,7 @@ import json
 import pandas as pd
 import seaborn as sns
 from matplotlib import pyplot as plt
+from matplotlib.patheffects import withStroke
 
 from atari_dqn import params
 from atari_dqn.analysis.study import Study, data, hours, peak_megabytes
@@ -25,21 +26,24 @@ def best_setups(measured: pd.DataFrame) -> pd.DataFrame:
 
 
 def draw_throughput(best: pd.DataFrame) -> plt.Figure:
-    """Bars of agent steps a second, and the roofline of direct convolutions for each agent."""
+    """Bars of agent steps per second, and the roofline of direct convolutions for each agent."""
     figure, axes = plt.subplots(figsize=(plots.WIDTH, 2.6))
-    colours = {params.title(agent): plots.COLOURS[agent] for agent in best.agent.unique()}
+    colours = {params.title(agent): plots.STYLES[agent].colour for agent in best.agent.unique()}
     shown = best.assign(agent=best.agent.map(lambda agent: params.title(agent)))
-    sns.barplot(shown, x="steps_per_second", y="library", hue="agent", palette=colours, ax=axes)
+    shared = {"x": "steps_per_second", "y": "library", "hue": "agent", "palette": colours}
+    sns.barplot(shown, **shared, saturation=1, ax=axes)
     for bars in axes.containers:
         axes.bar_label(bars, fmt="%.0f", padding=3, fontsize="small")
     ours = best[best.library == OURS].set_index("agent")
     for agent, roof in (ours.steps_per_second / ours.share_of_direct_roofline).items():
-        axes.axvline(roof, color=plots.COLOURS[agent], ls="--", lw=1)
+        look = plots.STYLES[agent]
+        casing = [withStroke(linewidth=3, foreground="white")]  # across bars of its own colour
+        axes.axvline(roof, color=look.colour, ls=look.line, lw=1.2, path_effects=casing)
         axes.annotate(
             "roofline", (roof, 0.02), xycoords=("data", "axes fraction"), xytext=(-2, 0),
             textcoords="offset points", rotation=90, ha="right", fontsize="x-small", color="0.35",
         )  # fmt: skip
-    axes.set(xlabel="agent steps a second, whole machine, best set-up", ylabel="")
+    axes.set(xlabel="agent steps per second, whole machine, best set-up", ylabel="")
     axes.legend(title=None, loc="lower left", bbox_to_anchor=(0, 1), ncols=2)
     return figure
 
@@ -59,9 +63,9 @@ def show_throughput() -> None:
         caption=f"Training speed on {machine['cores']} cores of an {machine['processor']}: Boxing, "
         f"batch 32, one update every {machine['update_period']} agent steps, everything included. "
         "Each library in its best set-up; `results/benchmarks/throughput.csv` has them all. "
-        "Dashed: what the machine could do at most with direct convolutions. Stable-Baselines3 has "
-        "no Double DQN.",
-        alt="Bars of agent steps a second for this project and its peers.",
+        "Upright lines: what the machine could do at most with direct convolutions. "
+        "Stable-Baselines3 has no Double DQN.",
+        alt="Bars of agent steps per second for this project and its peers.",
         data=f"{FOLDER}/throughput.csv",
     )
     ours = best[(best.library == OURS) & (best.agent == "dqn")].iloc[0]

@@ -15,7 +15,7 @@ from matplotlib import pyplot as plt
 from matplotlib.figure import Figure
 from matplotlib_inline.backend_inline import set_matplotlib_formats
 
-from atari_dqn.report import plots
+from atari_dqn.report import interactive, plots
 
 if TYPE_CHECKING:  # what plays and draws videos takes seconds to import
     from atari_dqn.report.video import Video
@@ -61,20 +61,13 @@ def show_placeholders(*labels: str) -> None:
     show_text(" ".join(f"[]{{#{label} .absent}}" for label in labels))
 
 
-def show_figure(
-    figure: Figure,
-    label: str,
-    caption: str,
-    alt: str,
-    data: str = "",
-    hover: dict[str, Any] | None = None,
-) -> None:
+def show_figure(figure: Figure, label: str, caption: str, alt: str, data: str = "") -> None:
     """Shows a figure with its caption; `label` (fig-...) is what the text refers to.
 
-    `data` says which files it is drawn from. `hover` (`plots.hover_values`) are the values that
-    the page shows under the pointer.
+    `data` says which files it is drawn from. What `interactive` tells of it goes to the page.
     """
-    meta = {"label": label, "caption": caption, "alt": alt, "data": data, "hover": hover}
+    meta: dict[str, Any] = {"label": label, "caption": caption, "alt": alt, "data": data}
+    meta["curves"] = interactive.described(figure)
     display(figure, metadata={"image/svg+xml": meta})
     plt.close(figure)
     _show_caption(caption)

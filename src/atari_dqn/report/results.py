@@ -28,40 +28,64 @@ def show_curves(section: Section) -> None:
         return
     if section.episodes.episode.max() < window:
         show_absent(
-            label, f"A learning curve, of means of {window} games, follows after that many games."
+            label,
+            f"A learning curve, of means of {window} episodes, follows after that many episodes.",
         )
         return
-    game = section.params.game
-    published = data("published")
+    published, game = data("published"), section.params.game
     points = {"frames": published["frames"], **published.get(game, {})}
-    figure, hover = plots.learning_curves(
-        section.episodes, facts, window, points if section.default_difficulty else None
+    source = source_points(section)
+    figure = plots.learning_curves(
+        section.episodes, facts, window, points if section.default_difficulty else None, source
     )
-    references = " Dotted: a human tester and random play"
-    if game in published:
-        references += "; the marks are agents trained with sticky actions [@dopamine2018]"
+    caption = [
+        f"{facts.title}, `{section.params.experiment}`: raw score while training, with "
+        "exploration, against episodes, frames and processor time (on one core); each point is "
+        f"the mean of the last {window} episodes ({section.counted()}). Without sticky actions."
+    ]
+    seeds = section.episodes.groupby("agent").seed.nunique().max()
+    if seeds >= plots.SEEDS_OF_A_BAND:
+        caption.append("Thin: seeds; bold: their mean, with its 95% interval (Student's t).")
+    if not source.empty:
+        caption.append(
+            f"Hollow circles: the source report's means of the last {section.milestone_window} "
+            "episodes."
+        )
+    if section.default_difficulty:
+        caption.append("Dotted: a human tester and random play.")
+        if game in published:
+            caption.append("Grey marks: agents trained with sticky actions [@dopamine2018].")
     show_figure(
         figure,
         label=label,
-        caption=f"{facts.title}, `{section.params.experiment}`: raw score while training, with "
-        f"exploration, against games, frames and hours (by the clock, on a machine that had other "
-        f"work at times); each point is the mean of the last {window} games "
-        f"({section.counted()}). Without sticky actions."
-        + f"{references}."
-        * section.default_difficulty,
-        alt=f"Learning curves of the agents in {facts.title}: mean score against games played, "
-        "frames and hours.",
+        caption=" ".join(caption),
+        alt=f"Learning curves of the agents in {facts.title}: mean score against training "
+        "episodes, frames and processor time.",
         data=section.origin + "episodes.csv and timing.csv",
-        hover=hover,
     )
+
+
+def _milestones(section: Section) -> tuple[int, ...]:
+    step = section.params.episodes / len(MILESTONES)
+    return tuple(dict.fromkeys(round(step * (index + 1)) for index in range(len(MILESTONES))))
+
+
+def source_points(section: Section) -> pd.DataFrame:
+    """The source report's scores at the milestones of an experiment as long as its own: columns
+    agent, episode and score; empty where it has none of an agent of the section."""
+    source, rows = data("source_report"), []
+    if _milestones(section) == MILESTONES:
+        for agent, scores in source.get(section.params.experiment, {}).items():
+            if agent in section.params.agents:
+                rows += [(agent, *point) for point in zip(source["marks"], scores, strict=True)]
+    return pd.DataFrame(rows, columns=["agent", "episode", "score"])
 
 
 def show_milestones(section: Section) -> None:
     """The mean score of the last games at each milestone that a run has reached, and the source
     report's."""
     label = f"tbl-{section.slug}-marks"
-    step = section.params.episodes / len(MILESTONES)
-    milestones = tuple(dict.fromkeys(round(step * (index + 1)) for index in range(len(MILESTONES))))
+    milestones = _milestones(section)
     if section.episodes.empty:
         show_placeholders(label)
         return
@@ -109,11 +133,14 @@ def show_evaluations(section: Section) -> None:
     games = section.evaluations.groupby(["agent", "seed"]).size().min()
     p = section.params
     show_figure(
-        plots.score_distributions(section.evaluations),
+        plots.score_distributions(
+            section.evaluations, section.facts if section.default_difficulty else None
+        ),
         label=figure,
-        caption=f"{section.facts.title}, `{p.experiment}`: scores of the evaluation games "
-        f"({games} games a run; {p.evaluation_epsilon:.1%} of the actions are random).",
-        alt=f"Box plots of each agent's evaluation scores in {section.facts.title}.",
+        caption=f"{section.facts.title}, `{p.experiment}`: scores of the evaluation episodes "
+        f"({games} per run; {p.evaluation_epsilon:.1%} of the actions are random). Diamonds: the "
+        "mean of each run, with its 95% interval (bootstrap over episodes).",
+        alt=f"Dots for each agent's evaluation scores in {section.facts.title}, and their means.",
         data=section.origin + "evaluations.csv",
     )
     rows = [
@@ -183,7 +210,7 @@ def show_discounts(sections: list[Section], agent: str, label: str) -> None:
         plots.comparison(pd.concat(curves), facts, window, "variation"),
         label=label,
         caption=f"{facts.title}: {params.title(agent)} with different discounts; mean raw score of "
-        f"the last {window} training games.",
+        f"the last {window} training episodes.",
         alt="Learning curves of one agent with different discounts.",
         data=", ".join(section.origin for section in sections),
     )
@@ -221,13 +248,13 @@ def show_values(section: Section) -> None:
         plots.value_errors(section.values),
         label=label,
         caption=f"{section.facts.title}, `{section.params.experiment}`: the value that the "
-        f"network predicts for the states of {VALUE_GAMES} greedy games (solid), and the "
-        "discounted return that followed them, in rewards as the agent learns from them (dashed), "
-        f"every {VALUES_PERIOD} training games. Where the prediction lies above what followed, the "
-        f"network overestimates. A point is {VALUE_GAMES} games, so that single dips mean little. "
-        f"Dotted: the prediction for {HELD_OUT_STATES} states of random play, always the same "
-        f"({section.counted()}).",
-        alt="Predicted and realised values of states against training games, a panel an agent.",
+        f"network predicts for the states of {VALUE_GAMES} greedy episodes (dots), and the "
+        "discounted return that followed them, in rewards as the agent learns from them (grey "
+        f"circles), every {VALUES_PERIOD} training episodes. Shaded: the network overestimates. A "
+        f"point is {VALUE_GAMES} episodes, so single dips mean little. Pale line: the prediction "
+        f"for {HELD_OUT_STATES} states of random play, always the same ({section.counted()}).",
+        alt="Predicted and realised values of states against training episodes, one panel per "
+        "agent.",
         data=section.origin + "values.csv",
     )
 
@@ -243,16 +270,17 @@ def show_variations(section: Section, reference: Section, agent: str) -> None:
     unchanged = reference.episodes
     if not unchanged.empty:
         unchanged = unchanged[(unchanged.agent == agent) & (unchanged.episode <= games)]
-        sweep = pd.concat([unchanged.assign(variation="unchanged"), sweep])
     show_figure(
-        plots.comparison(sweep, section.facts, window, "variation"),
+        plots.small_multiples(sweep, unchanged, agent, window),
         label=figure,
-        caption=f"{section.facts.title}, `{section.params.experiment}`: one change at a time, "
-        f"{params.title(agent)}; mean raw score of the last {window} training games "
-        f"({section.counted()}).",
-        alt="Learning curves of the variations and of the unchanged set-up.",
+        caption=f"{section.facts.title}, `{section.params.experiment}`: one change per panel, "
+        f"{params.title(agent)}, beside the unchanged set-up; mean raw score of the last {window} "
+        f"training episodes ({section.counted()}).",
+        alt="A panel per change with two learning curves: with the change, and unchanged.",
         data=section.origin + "episodes.csv",
     )
+    if not unchanged.empty:
+        sweep = pd.concat([unchanged.assign(variation="unchanged"), sweep])
     last = sweep[sweep.episode > sweep.groupby("variation").episode.transform("max") - window]
     evaluated = section.evaluations
     greedy = {} if evaluated.empty else evaluated.groupby("variation").score.mean().to_dict()
