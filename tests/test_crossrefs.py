@@ -90,6 +90,43 @@ def test_what_the_report_does_not_show_fails_and_is_named(tmp_path):
         crossrefs.check_completeness(TEXT, path)
 
 
+PLACE = "[]{#fig-empty .absent} []{#tbl-empty .absent}"
+LISTED = "figures:\n  - {what: a loop, labels: [fig-empty]}\n"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "# One\n\n::: {.badge .partial}\nRuns are missing.\n:::\n\n## Part\n\n" + PLACE,
+        "# One\n\n::: {#fig-empty .absent}\nIt follows after more runs.\n:::\n",
+    ],
+    ids=["a badge says it", "the place says it"],
+)
+def test_an_empty_place_needs_a_reason_and_waits(tmp_path, text):
+    path = tmp_path / "completeness.yaml"
+    path.write_text(LISTED)
+    assert crossrefs.check_completeness(text, path) == (1, 1)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "# One\n\n" + PLACE,
+        "# One\n\n::: {.badge}\nAll runs are complete.\n:::\n\n" + PLACE,
+        "# One\n\n::: {.badge .partial}\nRuns are missing.\n:::\n\n# Two\n\n" + PLACE,
+        "::: {.badge .partial}\nFew.\n:::\n\n::: {.badge}\nAll.\n:::\n\n" + PLACE,
+        "# One\n\n::: {#fig-empty .absent}\n:::\n",
+        "# One\n\n::: {#fig-empty .absent}\n \n:::\n",
+    ],
+    ids=["no badge", "complete runs", "another chapter", "a later badge", "nothing", "a space"],
+)
+def test_an_empty_place_without_a_reason_fails_and_is_named(tmp_path, text):
+    path = tmp_path / "completeness.yaml"
+    path.write_text(LISTED)
+    with pytest.raises(RunError, match=r"figures: a loop \(fig-empty\)"):
+        crossrefs.check_completeness(text, path)
+
+
 @pytest.mark.parametrize("made", ["html5", "typst"])
 def test_computed_numbers_get_a_minus_sign_and_names_keep_their_hyphens(made):
     text = "-12.8 (-16.5 to -9.2), 2026-01 seed-1 games 1-500 `-5`"

@@ -1,5 +1,6 @@
 """The stored runs that a section of the report is about."""
 
+import copy
 from functools import cached_property
 from typing import Any
 
@@ -24,7 +25,7 @@ from atari_dqn.runs.run import (
     runs_of,
 )
 
-FRAMES_A_MINUTE = 60 * 60
+FRAMES_PER_MINUTE = 60 * 60
 
 
 def data(name: str) -> Any:
@@ -58,11 +59,23 @@ class Section:
         self.params: Parameters = params.load(found[experiment], overrides)
         self.facts: GameFacts = GAMES[self.params.game]
         self.slug = experiment.replace("_", "-")  # what this section's labels hold
+        self.name = f"`{experiment}`"  # what sentences call it
         folder = results_folder(profile, results_dir)
         self.runs = runs_of(self.params, folder)
-        # How many games a point of a learning curve, and a number at a milestone, is the mean of.
+        # How many episodes a point of a learning curve, and a number at a milestone, is the mean of
         self.curve_window = max(1, self.params.episodes // 30)
         self.milestone_window = max(1, self.params.episodes // len(MILESTONES))
+
+    def only(self, variation: str) -> "Section":
+        """The same of one of the experiment's variations."""
+        part = copy.copy(self)
+        for name in [
+            name for name in vars(part) if isinstance(vars(Section).get(name), cached_property)
+        ]:
+            delattr(part, name)
+        part.runs = [run for run in self.runs if run.variation == variation]
+        part.name = f"{self.name} ({variation})"
+        return part
 
     @cached_property
     def usable(self) -> list[Run]:
@@ -116,9 +129,23 @@ class Section:
         if table.empty:
             return table
         newest = table.groupby(["experiment", "agent", "seed"]).trained_games.transform("max")
-        minutes = table.frames / FRAMES_A_MINUTE
-        table = table.assign(conceded_a_minute=table.conceded / minutes)
-        return table.assign(scored_a_minute=table.scored / minutes)[table.trained_games == newest]
+        return table[table.trained_games == newest]
+
+    @cached_property
+    def styles(self) -> pd.DataFrame:
+        """How the agents box in the checks of greedy play along their training, a row per greedy
+        episode: `runs.styles.Style`, agent, seed, and what it counts per minute."""
+        tables = [
+            pd.read_csv(run.styles).assign(agent=run.agent, seed=run.seed)
+            for run in self.usable
+            if run.styles.exists()
+        ]
+        if not tables:
+            return pd.DataFrame()
+        table = pd.concat(tables, ignore_index=True)
+        minutes = table.frames / FRAMES_PER_MINUTE
+        counted = ("scored", "conceded", "punches")
+        return table.assign(**{f"{name}_per_minute": table[name] / minutes for name in counted})
 
     @cached_property
     def random_play(self) -> pd.DataFrame:

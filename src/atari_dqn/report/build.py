@@ -21,7 +21,7 @@ from nbconvert import MarkdownExporter
 from tqdm import tqdm
 
 from atari_dqn.report import crossrefs, fingerprint
-from atari_dqn.runs import plan, scheduler
+from atari_dqn.runs import plan, records, scheduler, styles
 from atari_dqn.runs.files import RunError, project_root, results_folder
 
 STAMP = {"full": "", "quick": "QUICK RUN, NOT EVIDENCE", "smoke": "SMOKE RUN, NOT EVIDENCE"}
@@ -53,6 +53,9 @@ def _build(profile: str, folder: Path) -> Path:
         failures = scheduler.train_all(plan.planned(profile, [], folder))
         if failures:
             raise RunError("; ".join(failures))
+    for run in plan.planned(profile, list(styles.EXPERIMENTS), folder):
+        if run.agent == styles.AGENT and (run.folder / records.FILE).exists():
+            styles.measure(run)
     executed = _execute(profile, folder, _snapshot(folder))
     data = project_root() / "notebooks" / "data"
     with tempfile.TemporaryDirectory() as temporary:
@@ -75,7 +78,6 @@ def _snapshot(folder: Path) -> Path:
     go on. Returns the folder to give notebooks as that of the results."""
     snapshot = folder / "notebooks" / "snapshot"
     shutil.rmtree(snapshot, ignore_errors=True)
-    (folder / "runs").mkdir(parents=True, exist_ok=True)
 
     def copy(source: str, target: str) -> None:
         if not source.endswith(".csv"):  # which may be appended to; others are replaced, if ever
@@ -85,7 +87,9 @@ def _snapshot(folder: Path) -> Path:
         shutil.copyfile(source, target)
 
     ignored = shutil.ignore_patterns(".*")
-    shutil.copytree(folder / "runs", snapshot / "runs", ignore=ignored, copy_function=copy)
+    for name in ("runs", "styles"):
+        (folder / name).mkdir(parents=True, exist_ok=True)
+        shutil.copytree(folder / name, snapshot / name, ignore=ignored, copy_function=copy)
     return snapshot
 
 

@@ -15,6 +15,7 @@ from atari_dqn.runs.files import RunError
 
 KINDS = {"fig": "Figure", "vid": "Figure", "tbl": "Table", "sec": "Section", "eq": "Equation"}
 _LABEL = re.compile(r'(?:\{#|\bid=")((?:fig|vid|tbl|sec|eq)-[a-z0-9-]+)( \.absent)?')
+_REASON = re.compile(r"^:{3,} \{#([a-z0-9-]+) \.absent\}\n(?!:{3,}$)[^\n]*\S", re.MULTILINE)
 _REFERENCE = re.compile(r"(?<![\w@-])@((?:fig|vid|tbl|sec|eq)-[a-z0-9]+(?:-[a-z0-9]+)*)")
 _HEADING = re.compile(r"^(#+) (.*)$", re.MULTILINE)
 _FENCED = re.compile(r"^(`{3,})[^`\n]*\n.*?^\1$", re.MULTILINE | re.DOTALL)
@@ -55,21 +56,28 @@ def labels(text: str) -> set[str]:
 def check_completeness(text: str, path: Path) -> tuple[int, int]:
     """How many things the source report holds, and how many of them wait for runs in `text`.
 
-    Raises RunError if one has no place at all. The file at `path` lists what the source report
-    holds: {group: [{..., labels: [label, ...]}]}.
+    The file at `path` lists what the source report holds: {group: [{..., labels: [label, ...]}]}.
+    Raises RunError if one has no place at all, or a place that is empty without a reason: the
+    reason is in the place itself, or in the last badge of runs before it in its chapter.
     """
-    present = labels(text)
+    absent = {match[1] for match in _LABEL.finditer(text) if match[2]}
+    excused = {match[1] for match in _REASON.finditer(text)}
+    for chapter in re.split(r"^# ", _FENCED.sub("", text), flags=re.MULTILINE):
+        _, *badges = re.split(r"^::: \{\.badge", chapter, flags=re.MULTILINE)
+        for part in badges:
+            if ".partial" in part.partition("}")[0]:
+                excused |= labels(part)
+    shown = labels(text) - (absent - excused)
     groups = YAML(typ="safe", pure=True).load(path.read_text(encoding="utf-8"))
     gaps = [
         f"{group}: {entry['what']} ({label})"
         for group, entries in groups.items()
         for entry in entries
         for label in entry["labels"] or ["no label"]
-        if label not in present
+        if label not in shown
     ]
     if gaps:
         raise RunError(f"{path.name} lists what the report does not show: {'; '.join(gaps)}")
-    absent = {match[1] for match in _LABEL.finditer(text) if match[2]}
     entries = [entry for group in groups.values() for entry in group]
     return len(entries), sum(not absent.isdisjoint(entry["labels"]) for entry in entries)
 

@@ -1,13 +1,12 @@
 """The figures and tables that every section about an experiment has."""
 
-from collections.abc import Iterable
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 import pandas as pd
 
 from atari_dqn import params
-from atari_dqn.analysis.statistics import MILESTONES, interval, scores_at_milestones, with_interval
+from atari_dqn.analysis.statistics import MILESTONES, interval, scores_at_milestones
 from atari_dqn.analysis.study import Section, data
 from atari_dqn.params import HELD_OUT_STATES, VALUE_GAMES, VALUES_PERIOD
 from atari_dqn.report import plots
@@ -204,7 +203,7 @@ def show_discounts(sections: list[Section], agent: str, label: str) -> None:
     window, facts = sections[0].curve_window, sections[0].facts
     curves = [curve for curve in curves if len(curve) >= window]
     if len(curves) < 2:
-        show_placeholders(label)
+        show_absent(label, "Curves of several discounts follow when two of them have been trained.")
         return
     show_figure(
         plots.comparison(pd.concat(curves), facts, window, "variation"),
@@ -241,8 +240,13 @@ def _summary(section: Section, games: pd.DataFrame) -> dict:
 def show_values(section: Section) -> None:
     """Predicted against realised values: what overestimation is measured by."""
     label = f"fig-{section.slug}-values"
-    if section.values.empty:
+    if section.episodes.empty:
         show_placeholders(label)
+        return
+    if section.values.empty:
+        show_absent(
+            label, f"The values follow: they are checked every {VALUES_PERIOD} training episodes."
+        )
         return
     show_figure(
         plots.value_errors(section.values),
@@ -309,50 +313,57 @@ def show_variations(section: Section, reference: Section, agent: str) -> None:
     )
 
 
-LOWEST = -100.0  # points, the worst that a game of Boxing can end with
+LOWEST = -100.0  # points, the worst that an episode of Boxing can end with
 
 
 def show_transfer(transferred: Section, scratch: Section) -> None:
     """What starting from another game's agent is worth (Taylor and Stone, 2009)."""
-    label, window = "tbl-transfer", transferred.milestone_window
+    label = "tbl-transfer"
+    early, late = scratch.milestone_window, transferred.milestone_window  # as in the claim
     rows = []
     for agent in transferred.params.agents:
         pair = (transferred, scratch)
         ours, theirs = (_curve(section, agent) for section in pair)
-        games = min(len(ours), len(theirs))  # that both have played
-        if games < window:
+        played = min(len(ours), len(theirs))
+        if played < max(early, late):
             continue
-        gain = ours[:games] - theirs[:games]
-        early = [_greedy(section, agent, window) for section in pair]
+        gain = ours[:played] - theirs[:played]
+        greedy = [_greedy(section, agent, early) for section in pair]
         rows.append(
             {
                 "agent": params.title(agent),
-                "games": games,
-                "early, greedy": early[0] - early[1],
-                "area ratio": gain.sum() / (theirs[:games] - LOWEST).sum(),
-                "at the end": gain[-window:].mean(),
+                "episodes": played,
+                "early": gain[:early].mean(),
+                "early, greedy": greedy[0] - greedy[1],
+                "area ratio": gain.sum() / (theirs[:played] - LOWEST).sum(),
+                "at the end": gain[-late:].mean(),
             }
         )
     if not rows:
-        show_placeholders(label)
+        if transferred.complete:
+            show_absent(label, f"Both runs need {max(early, late)} episodes to be compared.")
+        else:
+            show_placeholders(label)
         return
     show_table(
         pd.DataFrame(rows),
         label=label,
-        caption=f"{transferred.facts.title}: what the start from Breakout is worth, over the games "
-        f"that both runs have played: difference in points in the greedy games ({VALUE_GAMES} a "
-        f"check) of the first {window} training games; area between the curves as a share of that "
-        f"from {LOWEST:g} points to the curve from scratch; difference in points in the last "
-        f"{window} training games.",
+        caption=f"{transferred.facts.title}: what the start from Breakout is worth, over the "
+        "episodes that both runs have played. *Early* is the difference in points over the first "
+        f"{early} training episodes, while training and in the greedy episodes of the checks among "
+        f"them ({VALUE_GAMES} per check); *at the end*, that over the last {late} training "
+        "episodes. The area between the two curves is given as a share of the area between the "
+        f"curve from scratch and {LOWEST:g} points, the lowest score there is.",
     )
 
 
-def _greedy(section: Section, agent: str, games: int) -> float:
-    """Mean score of the greedy games during an agent's first training games; nan without any."""
+def _greedy(section: Section, agent: str, episodes: int) -> float:
+    """Mean score of the greedy episodes during an agent's first training episodes; nan without
+    any."""
     values = section.values
     if values.empty:
         return np.nan
-    return values[(values.agent == agent) & (values.episode <= games)].score.mean()
+    return values[(values.agent == agent) & (values.episode <= episodes)].score.mean()
 
 
 def _curve(section: Section, agent: str) -> np.ndarray:
@@ -364,32 +375,47 @@ def _curve(section: Section, agent: str) -> np.ndarray:
     return own[own.episode <= reached].groupby("episode").score.mean().to_numpy()
 
 
-def show_playstyle(sections: Iterable[Section], label: str) -> None:
-    """A row an evaluated run: points scored and conceded a minute, and the boxers' distance."""
-    rows: list[dict[str, Any]] = []
-    for section in sections:
-        if section.evaluations.empty:
-            continue
-        for (agent, seed), games in section.evaluations.groupby(["agent", "seed"], sort=False):
-            row = {
-                "discount": f"{section.params.gamma:g}",
-                "agent": params.title(str(agent)),
-                "seed": seed,
-                "training games": int(games.trained_games.max()),
-            }
-            for column, name in (
-                ("scored_a_minute", "points scored"),
-                ("conceded_a_minute", "points conceded"),
-                ("distance", "distance (pixels)"),
-            ):
-                row[name] = with_interval(games[column].to_numpy())
-            rows.append(row)
-    if not rows:
-        show_absent(label, "A table of play styles follows when an agent has been evaluated.")
+def show_playstyle(sections: Sequence[Section], label: str) -> None:
+    """How one agent boxes with different discounts: a row per part of the training and run."""
+    measured = [section for section in sections if not section.styles.empty]
+    if len(measured) < 2:
+        show_absent(
+            label,
+            "A table of play styles follows when two discounts have been trained. (Styles are "
+            "measured when the report is made, in the greedy episodes that are on record.)",
+        )
         return
+    rows = []
+    for first in range(1, max(section.params.episodes for section in measured), PART):
+        for section in sorted(measured, key=lambda section: section.params.gamma):
+            part = section.styles[section.styles.episode.between(first, first + PART - 1)]
+            if not part.empty:
+                rows.append(
+                    {
+                        "training episodes": f"{first:,} to {first + PART - 1:,}",
+                        "discount": f"{section.params.gamma:g}",
+                        "score": part.score.mean(),
+                        **{name: part[column].mean() for column, name in STYLE.items()},
+                        "within reach": f"{part.reach.mean():.0%}",
+                    }
+                )
+    agent = params.title(measured[0].styles.agent.iloc[0])
     show_table(
         pd.DataFrame(rows),
         label=label,
-        caption="How the agents box in the greedy games of their evaluation: points a minute, and "
-        "the mean distance of the two boxers, with bootstrap intervals over games.",
+        caption=f"How {agent} boxes with different discounts, in the greedy episodes of the checks "
+        f"along its training ({VALUE_GAMES} every {VALUES_PERIOD} training episodes): points and "
+        "punches per minute, mean distance of the two boxers in pixels, and the share of the time "
+        "in which they stand so near that a punch can land. Style and skill go together: compare "
+        "rows of the same training episodes, and rows of about the same score.",
+        decimals=1,
     )
+
+
+PART = 500  # training episodes that a row of play styles is the mean of
+STYLE = {
+    "scored_per_minute": "points scored",
+    "conceded_per_minute": "points conceded",
+    "punches_per_minute": "punches thrown",
+    "distance": "distance",
+}

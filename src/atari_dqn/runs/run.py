@@ -65,6 +65,12 @@ class Run:
         return self.results / "runs" / self.name
 
     @property
+    def styles(self) -> Path:
+        """What `styles.measure` finds in the run's records: a file beside the runs, which are left
+        as training wrote them."""
+        return self.results / "styles" / f"{self.name}.csv"
+
+    @property
     def state_folder(self) -> Path:
         """Where checkpoints live: $ATARI_DQN_STATE, by default within the results folder."""
         root = os.environ.get("ATARI_DQN_STATE") or self.results / "state"
