@@ -4,12 +4,17 @@ typeset. Every part comes from pip packages; nothing is fetched.
 The previous report stays in place until a whole new one has been made.
 """
 
+import base64
+import json
 import multiprocessing
 import os
 import shutil
+import struct
 import tempfile
+import tomllib
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import suppress
+from datetime import UTC, datetime
 from pathlib import Path
 
 import nbformat
@@ -27,6 +32,12 @@ from atari_dqn.runs.files import RunError, project_root, results_folder
 STAMP = {"full": "", "quick": "QUICK RUN, NOT EVIDENCE", "smoke": "SMOKE RUN, NOT EVIDENCE"}
 TITLE = "Deep Q-Networks learn to box"
 SUBTITLE = "A reproducible study of DQN, Double DQN and Dueling Double DQN on two Atari games"
+AUTHOR = "The atari-dqn project"
+DESCRIPTION = (
+    "DQN, Double DQN and Dueling Double DQN learn Atari Boxing and Breakout from pixels, and the "
+    "claims of an earlier study are tested on runs that anyone can repeat."
+)
+KEYWORDS = "deep reinforcement learning, DQN, Double DQN, Dueling DQN, Atari, reproducibility"
 TEMPLATES = Path(__file__).parent / "templates"
 STARTS = 3  # of a notebook's kernel, whose ports another's may take before it does
 
@@ -64,7 +75,7 @@ def _build(profile: str, folder: Path) -> Path:
         listed, waiting = crossrefs.check_completeness(text, data / "completeness.yaml")
         print(f"{listed} things of the source report have their places; {waiting} wait for runs")
         text = crossrefs.finish(text) + "\n\n# References {.unnumbered}\n"
-        _typeset(text, STAMP[profile], made)
+        _typeset(text, STAMP[profile], made, _moment(folder))
         target = folder / "report"
         target.mkdir(parents=True, exist_ok=True)
         for name in ("index.html", "report.pdf"):
@@ -155,9 +166,33 @@ def _execute_one(notebook: Path, target: Path, profile: str, results: Path) -> N
     partial.replace(target / notebook.name)
 
 
+def _moment(folder: Path) -> datetime | None:
+    """When the report's content is from: SOURCE_DATE_EPOCH or the start of the newest stored run's
+    last session, so that the same runs give the same report. None without either."""
+    if "SOURCE_DATE_EPOCH" in os.environ:
+        return datetime.fromtimestamp(int(os.environ["SOURCE_DATE_EPOCH"]), UTC)
+    stored = (folder / "runs").rglob("provenance.json")
+    sessions = [json.loads(path.read_text(encoding="utf-8"))["sessions"] for path in stored]
+    starts = (datetime.fromisoformat(one["started"]) for run in sessions for one in run)
+    return max(starts, default=None)
+
+
+def _size(png: str) -> str:
+    """The size of a PNG image (base64) in HTML's words: a page that knows it does not jump."""
+    return 'width="{}" height="{}"'.format(*struct.unpack(">II", base64.b64decode(png)[16:24]))
+
+
+# In a dark page a drawing is seen in negative, hues kept; pictures within it are turned back.
+DARK = (
+    b"<style>@media (prefers-color-scheme: dark) "
+    b"{ svg, image { filter: invert(1) hue-rotate(180deg) } }</style></svg>"
+)
+
+
 def _section(path: Path, made: Path) -> str:
     """An executed notebook as pandoc's Markdown; its figures go to `made`."""
     exporter = MarkdownExporter(template_name="section", extra_template_basedirs=[str(TEMPLATES)])
+    exporter.register_filter("size", _size)
     notebook = nbformat.read(path, as_version=4)
     names = {
         "output_files_dir": f"{path.stem}_figures",
@@ -167,6 +202,8 @@ def _section(path: Path, made: Path) -> str:
     body, resources = exporter.from_notebook_node(notebook, names)
     for name, data in resources["outputs"].items():
         (made / name).parent.mkdir(exist_ok=True)
+        if name.endswith(".svg"):
+            data = data.replace(b"</svg>", DARK)
         (made / name).write_bytes(data)
     return body
 
@@ -177,10 +214,30 @@ def _script() -> str:
     return "\n".join((TEMPLATES / part).read_text(encoding="utf-8") for part in parts)
 
 
-def _typeset(text: str, stamp: str, made: Path) -> None:
+def _metadata(moment: datetime | None) -> dict[str, str]:
+    """What the report says of itself before its text begins."""
+    project = tomllib.loads((project_root() / "pyproject.toml").read_text(encoding="utf-8"))[
+        "project"
+    ]
+    facts = {
+        "title": TITLE,
+        "subtitle": SUBTITLE,
+        "author": AUTHOR,
+        "description": DESCRIPTION,
+        "keywords": KEYWORDS,
+        "lang": "en-GB",
+        "version": project["version"],
+        "repository": project.get("urls", {}).get("Repository", ""),
+    }
+    if moment:
+        facts |= {"date": f"{moment:%Y-%m-%d}", "day": f"{moment.day} {moment:%B %Y}"}
+    return facts
+
+
+def _typeset(text: str, stamp: str, made: Path, moment: datetime | None) -> None:
     """Markdown to `made`/index.html and report.pdf."""
-    root = project_root()
-    bibliography = root / "notebooks" / "references.bib"
+    facts = _metadata(moment) | {"stamp": stamp, "link-citations": "true"}
+    bibliography = project_root() / "notebooks" / "references.bib"
     shared = [
         "--standalone",
         "--fail-if-warnings",  # such as a citation of nothing
@@ -189,12 +246,9 @@ def _typeset(text: str, stamp: str, made: Path) -> None:
         f"--bibliography={bibliography}",
         f"--resource-path={made}",
         "--number-sections",
+        "--syntax-highlighting=tango",
         f"--lua-filter={TEMPLATES / 'report.lua'}",
-        f"--metadata=title:{TITLE}",
-        f"--metadata=subtitle:{SUBTITLE}",
-        "--metadata=lang:en-GB",
-        "--metadata=link-citations:true",
-        *([f"--metadata=stamp:{stamp}"] if stamp else []),
+        *(f"--metadata={name}:{value}" for name, value in facts.items() if value),
     ]
     source = "markdown"
     html = [
@@ -223,5 +277,5 @@ def _typeset(text: str, stamp: str, made: Path) -> None:
         output=str(made / "report.pdf"),
         root=str(made),
         ignore_system_fonts=True,
-        timestamp=int(os.environ.get("SOURCE_DATE_EPOCH", 0)),
+        timestamp=int(moment.timestamp()) if moment else 0,
     )

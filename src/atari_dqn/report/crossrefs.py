@@ -7,6 +7,7 @@ what refers to it stays whole.
 
 import re
 from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 
 from ruamel.yaml import YAML
@@ -17,10 +18,10 @@ KINDS = {"fig": "Figure", "vid": "Figure", "tbl": "Table", "sec": "Section", "eq
 _LABEL = re.compile(r'(?:\{#|\bid=")((?:fig|vid|tbl|sec|eq)-[a-z0-9-]+)( \.absent)?')
 _REASON = re.compile(r"^:{3,} \{#([a-z0-9-]+) \.absent\}\n(?!:{3,}$)[^\n]*\S", re.MULTILINE)
 _REFERENCE = re.compile(r"(?<![\w@-])@((?:fig|vid|tbl|sec|eq)-[a-z0-9]+(?:-[a-z0-9]+)*)")
-_HEADING = re.compile(r"^(#+) (.*)$", re.MULTILINE)
+_HEADING = re.compile(r"^(#+) (.*?)(?: \{([^{}\n]*)\})?$", re.MULTILINE)
 _FENCED = re.compile(r"^(`{3,})[^`\n]*\n.*?^\1$", re.MULTILINE | re.DOTALL)
 _EQUATION = re.compile(r"\$\$((?:(?!\$\$).)+)\$\$\s*\{#(eq-[a-z0-9-]+)\}", re.DOTALL)
-_NUMBERED = re.compile(r"\$\$\]\{#(eq-[a-z0-9-]+)")
+_NUMBERED = re.compile(r"\{#(eq-[a-z0-9-]+) \.equation\}")
 _FIGURE = re.compile(
     r"^!\[[^\n]*\]\([^\n]*\)\{#(fig-[a-z0-9-]+)( alt=\"[^\"\n]{20,}\")?", re.MULTILINE
 )
@@ -44,7 +45,10 @@ def finish(text: str) -> str:
     unknown = {match[1] for match in _REFERENCE.finditer(text)} - set(numbers)
     if unknown:
         raise RunError(f"references to labels that do not exist: {', '.join(sorted(unknown))}")
-    text = _NUMBERED.sub(lambda match: rf"\qquad ({numbers[match[1]]}) $$]{{#{match[1]}", text)
+    text = _NUMBERED.sub(
+        lambda match: f'{{#{match[1]} .equation number="{numbers[match[1]]}"}}', text
+    )
+    text = _letter_appendices(text)
     return _REFERENCE.sub(lambda match: _link(match[1], numbers[match[1]]), text)
 
 
@@ -99,23 +103,51 @@ def _numbers(text: str) -> dict[str, str]:
 
 
 def _section_numbers(text: str) -> dict[str, str]:
-    """As pandoc numbers them: 1, 1.1, ..."""
-    counts: list[int] = []
     numbers = {}
-    for match in _HEADING.finditer(_FENCED.sub("", text)):  # a comment in code is no heading
-        if ".unnumbered" in match[2]:
-            continue
-        level = len(match[1])
-        counts = [*counts[:level], *[0] * (level - len(counts))]
-        counts[level - 1] += 1
-        label = re.search(r"\{#(sec-[a-z0-9-]+)", match[2])
+    for heading, number in _headings(text):
+        label = re.search(r"#(sec-[a-z0-9-]+)", heading[3] or "")
         if label:
-            numbers[label[1]] = ".".join(map(str, counts))
+            numbers[label[1]] = number
     return numbers
 
 
+def _headings(text: str) -> Iterator[tuple[re.Match[str], str]]:
+    """The numbered headings, with their numbers: 1, 1.1, ... as pandoc counts them, and A, A.1, ...
+    from the first chapter of class `appendix` on.
+
+    Raises RunError if a chapter without that class follows: paper counts on.
+    """
+    counts: list[int] = []
+    lettered = False
+    code = _FENCED.sub(lambda match: " " * len(match[0]), text)  # a comment in code is no heading
+    for match in _HEADING.finditer(code):
+        attributes = (match[3] or "").split()
+        if ".unnumbered" in attributes:
+            continue
+        level = len(match[1])
+        if level == 1 and lettered and ".appendix" not in attributes:
+            raise RunError(f"a chapter after the appendices is none itself: {match[2]}")
+        if level == 1 and not lettered and ".appendix" in attributes:
+            counts, lettered = [], True
+        counts = [*counts[:level], *[0] * (level - len(counts))]
+        counts[level - 1] += 1
+        first = chr(ord("A") + counts[0] - 1) if lettered else str(counts[0])
+        yield match, ".".join([first, *map(str, counts[1:])])
+
+
+def _letter_appendices(text: str) -> str:
+    """Gives the headings of appendices their numbers, which pandoc then leaves alone."""
+    parts, end = [], 0
+    for heading, number in _headings(text):
+        if number[0].isalpha():
+            attributes = " ".join(filter(None, [heading[3], f'number="{number}"']))
+            parts += [text[end : heading.start()], f"{heading[1]} {heading[2]} {{{attributes}}}"]
+            end = heading.end()
+    return "".join([*parts, text[end:]])
+
+
 def _link(label: str, number: str) -> str:
-    kind = KINDS[label.partition("-")[0]]
+    kind = "Appendix" if number[:1].isalpha() else KINDS[label.partition("-")[0]]
     if not number:
         return f"[{kind.lower()} still to come](#{label}){{.ref}}"
     return f"[{kind}\N{NO-BREAK SPACE}{number}](#{label}){{.ref}}"

@@ -38,6 +38,8 @@ def for_jupyter(markdown: str) -> str:
     badge = re.compile(r"^::: \{\.badge[^}]*\}\n(.*?)\n:::$", re.MULTILINE | re.DOTALL)
     text = badge.sub(lambda match: re.sub("^", "> ", match[1], flags=re.MULTILINE), markdown)
     text = re.sub(r"^:{3,}( \{[^}]*\})?\n?", "", text, flags=re.MULTILINE)
+    text = re.sub(r" ?\[[^\[\]]*\]\{\.paper\}", "", text)
+    text = re.sub(r"\[([^\[\]]*)\]\{\.page\}", r"\1", text)
     text = re.sub(r"^: (.*) \{#tbl-[\w-]+\}$", r"*\1*", text, flags=re.MULTILINE)
     text = re.sub(r"(\[\])? ?\{#[\w-]+( \.\w+)*\}", "", text)
     text = re.sub(r"\[(-?@[^\]]+)\]", r"(\1)", text)

@@ -17,22 +17,48 @@ function element(name, text) {
   return made;
 }
 
-// What a citation or a reference to a figure, table or section stands for, on hover and on focus.
+// What a citation or a reference stands for, on hover and on focus: the entry, the formula, the
+// picture or the table's first rows with their caption, or a section's title and first sentence.
+const FIRST_ROWS = 5;
+function copy(node) {
+  const made = node.cloneNode(true);
+  for (const named of [made, ...made.querySelectorAll("[id]")]) named.removeAttribute("id");
+  return made;
+}
+function paragraph(...nodes) {
+  const made = document.createElement("p");
+  made.append(...nodes);
+  return made;
+}
 function preview(target) {
-  const entry = target.closest(".csl-entry");
-  if (entry) return [element("p", entry.textContent)];
-  const image = target.querySelector("figure img, img, video");
+  if (target.matches(".csl-entry")) return [paragraph(...copy(target).childNodes)];
+  if (target.matches(".equation")) return [copy(target.querySelector("math"))];
+  if (target.matches("h1, h2, h3, h4")) return previewOfSection(target);
   const caption = target.querySelector("figcaption, caption");
-  if (!image && !caption) return [element("p", target.textContent.trim().slice(0, 300))];
-  const parts = [];
-  if (image) {
-    const copy = document.createElement("img");
-    copy.src = image.poster || image.src;
-    copy.alt = "";
-    parts.push(copy);
+  const words = caption ? [paragraph(...copy(caption).childNodes)] : [];
+  if (target.matches("table")) {
+    const rows = copy(target);
+    rows.querySelector("caption")?.remove();
+    [...rows.tBodies[0].rows].slice(FIRST_ROWS).forEach((row) => row.remove());
+    return [...words, rows];
   }
-  if (caption) parts.push(element("p", caption.textContent));
-  return parts;
+  const image = target.querySelector("img, video");
+  if (!image) return [paragraph(...copy(target).childNodes)];
+  const picture = document.createElement("img");
+  picture.src = image.poster || image.src;
+  picture.alt = "";
+  return [picture, ...words];
+}
+function previewOfSection(heading) {
+  const title = document.createElement("strong");
+  title.append(...copy(heading).childNodes);
+  let next = heading.nextElementSibling;
+  while (next && !next.matches("p, h1, h2, h3, h4")) next = next.nextElementSibling;
+  if (!next || !next.matches("p")) return [paragraph(title)];
+  const words = copy(next);
+  words.querySelectorAll("annotation").forEach((source) => source.remove());
+  const [sentence] = words.textContent.trim().match(/^.*?[.!?](?=\s+[A-Z]|$)|^.*$/s);
+  return [paragraph(title), element("p", sentence)];
 }
 for (const link of document.querySelectorAll("main a[href^='#']")) {
   const target = document.getElementById(decodeURIComponent(link.hash.slice(1)));
@@ -48,16 +74,18 @@ for (const link of document.querySelectorAll("main a[href^='#']")) {
 }
 document.addEventListener("keydown", (event) => { if (event.key === "Escape") hideTip(); });
 
-// Figures open large on a click or with the Enter key.
+// Figures open large, and whole, on a click or with the Enter key; another click shows them larger
+// than the window, to scroll and to pinch.
 const light = document.getElementById("light");
+const lighted = light.querySelector("img");
 for (const image of document.querySelectorAll("figure img")) {
   image.tabIndex = 0;
   image.setAttribute("role", "button");
   const open = () => {
-    const large = document.createElement("img");
-    large.src = image.src;
-    large.alt = image.alt;
-    light.querySelector("div").replaceChildren(large);
+    lighted.src = image.src;
+    lighted.alt = image.alt;
+    lighted.style.setProperty("--ratio", image.naturalWidth / image.naturalHeight);
+    light.classList.remove("larger");
     light.showModal();
   };
   image.addEventListener("click", open);
@@ -65,30 +93,72 @@ for (const image of document.querySelectorAll("figure img")) {
     if (event.key === "Enter" || event.key === " ") { event.preventDefault(); open(); }
   });
 }
-light.addEventListener("click", () => light.close());
+light.addEventListener("click", (event) => {
+  if (event.target === lighted) light.classList.toggle("larger");
+  else light.close();
+});
 
-// Wide tables scroll within themselves; the contents follow the reader.
-for (const table of document.querySelectorAll("main table")) {
+// What is wider than the column scrolls within itself, and shows that there is more.
+function scrolls(inside) {
   const wide = document.createElement("div");
+  const pane = document.createElement("div");
   wide.className = "wide";
-  table.replaceWith(wide);
-  const caption = table.querySelector("caption");
-  if (caption) {
-    const above = document.createElement("div");
-    above.className = "caption";
-    above.append(...caption.cloneNode(true).childNodes);
-    wide.before(above);
-  }
-  wide.append(table);
+  pane.className = "pane";
+  inside.replaceWith(wide);
+  wide.append(pane);
+  pane.append(inside);
   const measure = () => {
-    const more = wide.scrollWidth - wide.clientWidth - wide.scrollLeft > 4;
-    wide.classList.toggle("more", more);
-    if (more) wide.tabIndex = 0;  // so that the keyboard can scroll it
+    const rest = pane.scrollWidth - pane.clientWidth;
+    wide.classList.toggle("before", pane.scrollLeft > 4);
+    wide.classList.toggle("after", rest - pane.scrollLeft > 4);
+    if (rest > 4) pane.tabIndex = 0;  // so that the keyboard can scroll it
+    else pane.removeAttribute("tabindex");
   };
-  wide.addEventListener("scroll", measure, { passive: true });
-  window.addEventListener("resize", measure);
-  measure();
+  pane.addEventListener("scroll", measure, { passive: true });
+  const resized = new ResizeObserver(measure);
+  resized.observe(pane);
+  resized.observe(inside);
+  return wide;
 }
+for (const inside of document.querySelectorAll("main figure img, main .formula, main pre")) scrolls(inside);
+for (const table of document.querySelectorAll("main table")) {
+  const caption = table.querySelector("caption");
+  const wide = scrolls(table);
+  if (!caption) continue;
+  const above = document.createElement("div");
+  above.className = "caption";
+  above.append(...copy(caption).childNodes);
+  wide.before(above);
+}
+
+// Videos: no control bar over the picture until the reader points at it; the first one plays by
+// itself while it is in view, unless the reader wants no motion or has paused it.
+const videos = [...document.querySelectorAll("main video")];
+for (const video of videos) {
+  video.controls = false;
+  video.tabIndex = 0;
+  const rest = () => { video.controls = document.activeElement === video; };
+  video.addEventListener("pointerenter", (event) => { if (event.pointerType === "mouse") video.controls = true; });
+  video.addEventListener("pointerleave", rest);
+  video.addEventListener("focus", () => { video.controls = true; });
+  video.addEventListener("blur", rest);
+  const state = () => video.parentElement.classList.toggle("paused", video.paused);
+  video.addEventListener("play", state);
+  video.addEventListener("pause", state);
+  state();
+}
+if (videos.length && !window.matchMedia("(prefers-reduced-motion: reduce)").matches) {
+  const [hero] = videos;
+  let inView = false;
+  const watch = new IntersectionObserver(([entry]) => {
+    inView = entry.isIntersecting;
+    if (inView) hero.play().catch(() => {});  // a browser that forbids it leaves the still
+    else hero.pause();
+  }, { threshold: 0.5 });
+  hero.addEventListener("pause", () => { if (inView) watch.disconnect(); });
+  watch.observe(hero);
+}
+
 const entries = new Map();
 for (const link of document.querySelectorAll("#contents a")) {
   entries.set(decodeURIComponent(link.hash.slice(1)), link);

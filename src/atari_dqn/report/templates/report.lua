@@ -1,14 +1,14 @@
+-- What Markdown alone does not say, for the page (HTML) and for paper (Typst).
+
+local paper = FORMAT == "typst"
+
+local function has(element, class) return element.classes:includes(class) end
+
 -- What code has computed writes a minus sign as a hyphen: "-12.8 (-16.5 to -9.2)".
 local function minus(word)
   word.text = word.text:gsub("^(%(?)-(%d)", "%1−%2")
   return word
 end
-
-if FORMAT ~= "typst" then return { { Str = minus } } end
-
-Str = minus
-
--- Divisions that CSS styles on the page, for paper: badges, what is still absent, the row of cards.
 
 local function wrapped(open, blocks, close)
   local result = { pandoc.RawBlock("typst", open) }
@@ -17,26 +17,146 @@ local function wrapped(open, blocks, close)
   return result
 end
 
-local WHOLE = 12 -- rows; a longer table may be broken between pages
+local function quoted(text) return '"' .. text:gsub("\\", "\\\\"):gsub('"', '\\"') .. '"' end
 
-function Table(element)
-  local rows = 0
-  for _, body in ipairs(element.bodies) do rows = rows + #body.body end
-  if rows > WHOLE then return nil end
-  return wrapped("#block(breakable: false)[", { element }, "]")
+-- A browser may break a line between a formula and its comma.
+local function glue(inlines)
+  local result, open = {}, nil
+  for _, inline in ipairs(inlines) do
+    local formula = inline.t == "Math" and inline.mathtype == "InlineMath"
+    if open and inline.t ~= "Space" and inline.t ~= "SoftBreak" and inline.t ~= "LineBreak" then
+      open.content:insert(inline)
+    elseif formula then
+      open = pandoc.Span({ inline }, { class = "nobreak" })
+      table.insert(result, open)
+    else
+      open = nil
+      table.insert(result, inline)
+    end
+  end
+  return pandoc.Inlines(result)
 end
 
-function Div(div)
-  if div.classes:includes("badge") then
-    return wrapped("#badge[", div.content, "]")
-  elseif div.classes:includes("absent") then
-    return wrapped("#absent[", div.content, "] <" .. div.identifier .. ">")
-  elseif div.classes:includes("card") then
-    local result = { pandoc.RawBlock("typst", "#cards(") }
-    for _, cell in ipairs(div.content) do
-      for _, block in ipairs(wrapped("[", cell.content, "],")) do table.insert(result, block) end
+local function span(element)
+  if has(element, paper and "page" or "paper") then return {} end -- meant for the other medium
+  if not has(element, "equation") then return nil end
+  if paper then
+    return { pandoc.RawInline("typst", "#numbered["), element, pandoc.RawInline("typst", "]") }
+  end
+  local number = pandoc.Span("(" .. element.attributes.number .. ")", { class = "number" })
+  element.attributes.number = nil
+  element.content = { pandoc.Span(element.content, { class = "formula" }), number }
+  return element
+end
+
+-- Figures on paper: with text alternatives, which pandoc leaves out.
+local function on_paper(file, alt, caption, label)
+  local open = "#figure(image(" .. quoted(file) .. ", width: 100%, alt: " .. quoted(alt) .. "), caption: ["
+  return wrapped(open, caption, "]) <" .. label .. ">")
+end
+
+local function figure(element)
+  if not paper then return nil end
+  local image
+  element:walk({ Image = function(found) image = found end })
+  local alt = pandoc.utils.stringify(image.caption)
+  return on_paper(image.src, alt, element.caption.long, element.identifier)
+end
+
+-- A video (report/templates/section): the film for the page, a strip of its pictures for paper.
+local function video(div)
+  local caption = { pandoc.Plain(div.content[#div.content].content) }
+  if paper then
+    return on_paper(div.attributes.strip, div.attributes.alt, caption, div.identifier)
+  end
+  local attributes = pandoc.Attr(div.identifier, { "video" })
+  return pandoc.Figure({ div.content[1] }, { long = caption }, attributes)
+end
+
+local VERDICTS = { yes = "✓ yes", no = "✗ no", mixed = "≈ mixed", open = "○ open" }
+
+-- A board of verdicts: what their colours say is also said in a word.
+local function tile(div)
+  for class, word in pairs(VERDICTS) do
+    if has(div, class) then
+      if paper then
+        local open = "#tile(" .. quoted(class) .. ", " .. quoted(word) .. ")["
+        return pandoc.Div(wrapped(open, div.content, "]"))
+      end
+      div.content:insert(1, pandoc.Para({ pandoc.Span(word, { class = "verdict" }) }))
     end
-    table.insert(result, pandoc.RawBlock("typst", ")"))
-    return result
+  end
+  return div
+end
+
+local function cells(name, content)
+  local result = { pandoc.RawBlock("typst", "#" .. name .. "(") }
+  for _, cell in ipairs(content) do
+    for _, block in ipairs(wrapped("[", cell.content, "],")) do table.insert(result, block) end
+  end
+  table.insert(result, pandoc.RawBlock("typst", ")"))
+  return result
+end
+
+local function division(div)
+  if has(div, "video") then return video(div) end
+  if has(div, "tile") then return tile(div) end
+  if not paper then return nil end
+  if has(div, "badge") then
+    return wrapped(has(div, "partial") and "#badge(warn)[" or "#badge(accent)[", div.content, "]")
+  elseif has(div, "absent") then
+    return wrapped("#absent[", div.content, "] <" .. div.identifier .. ">")
+  elseif has(div, "card") then
+    return cells("cards", div.content)
+  elseif has(div, "board") then
+    return cells("board", div.content)
   end
 end
+
+-- A listing may be broken between pages where a new definition begins, and only there.
+local function listing(block)
+  local parts = pandoc.Blocks({})
+  for part in (block.text:gsub("\n\n+(%S)", "\0%1") .. "\0"):gmatch("(.-)\0") do
+    parts:insert(pandoc.CodeBlock(part, block.attr))
+  end
+  return parts
+end
+
+local WHOLE = 12 -- rows; a longer table may be broken between pages
+
+local function rows(element)
+  local count = 0
+  for _, body in ipairs(element.bodies) do count = count + #body.body end
+  return count
+end
+
+local function short_table(element)
+  if rows(element) > WHOLE then return nil end
+  return wrapped("#floating[", { element }, "]")
+end
+
+-- The abstract stands before the contents, wherever the text has it.
+local function document(whole)
+  local blocks, appendices = pandoc.Blocks({}), false
+  for _, block in ipairs(whole.blocks) do
+    if block.t == "Div" and has(block, "abstract") then
+      whole.meta.abstract = pandoc.MetaBlocks(block.content)
+    else
+      if paper and block.t == "Header" and has(block, "appendix") and not appendices then
+        blocks:insert(pandoc.RawBlock("typst", "#show: appendices"))
+        appendices = true
+      end
+      blocks:insert(block)
+    end
+  end
+  whole.blocks = blocks
+  return whole
+end
+
+local first = { Str = minus, Span = span, Div = division, Pandoc = document }
+if paper then
+  first.Figure, first.Table, first.CodeBlock = figure, short_table, listing
+else
+  first.Inlines = glue
+end
+return { first }
