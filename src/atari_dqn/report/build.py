@@ -12,6 +12,7 @@ import shutil
 import struct
 import tempfile
 import tomllib
+from collections.abc import Collection
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import suppress
 from datetime import UTC, datetime
@@ -71,7 +72,8 @@ def _build(profile: str, folder: Path) -> Path:
     data = project_root() / "notebooks" / "data"
     with tempfile.TemporaryDirectory() as temporary:
         made = Path(temporary)
-        text = "\n\n".join(_section(path, made) for path in executed)
+        waiting_for = _without_runs(profile, folder)
+        text = "\n\n".join(_section(path, made, waiting_for) for path in executed)
         listed, waiting = crossrefs.check_completeness(text, data / "completeness.yaml")
         print(f"{listed} things of the source report have their places; {waiting} wait for runs")
         text = crossrefs.finish(text) + "\n\n# References {.unnumbered}\n"
@@ -189,11 +191,26 @@ DARK = (
 )
 
 
-def _section(path: Path, made: Path) -> str:
-    """An executed notebook as pandoc's Markdown; its figures go to `made`."""
+def _without_runs(profile: str, folder: Path) -> set[str]:
+    """The experiments of which no run has begun."""
+    planned = plan.planned(profile, [], folder)
+    begun = {run.params.experiment.partition("+")[0] for run in planned if run.folder.exists()}
+    return {run.params.experiment.partition("+")[0] for run in planned} - begun
+
+
+NEEDS = "needs:"  # a cell's tag says by this that its text is about the runs of an experiment
+
+
+def _section(path: Path, made: Path, waiting_for: Collection[str] = ()) -> str:
+    """An executed notebook as pandoc's Markdown; its figures go to `made`. Cells that are tagged
+    as needing an experiment in `waiting_for` are left out."""
     exporter = MarkdownExporter(template_name="section", extra_template_basedirs=[str(TEMPLATES)])
     exporter.register_filter("size", _size)
     notebook = nbformat.read(path, as_version=4)
+    early = {NEEDS + name for name in waiting_for}
+    notebook.cells = [
+        cell for cell in notebook.cells if early.isdisjoint(cell.metadata.get("tags", []))
+    ]
     names = {
         "output_files_dir": f"{path.stem}_figures",
         "unique_key": path.stem,
