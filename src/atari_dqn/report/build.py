@@ -76,11 +76,13 @@ def _build(profile: str, folder: Path) -> Path:
         text = "\n\n".join(_section(path, made, waiting_for) for path in executed)
         listed, waiting = crossrefs.check_completeness(text, data / "completeness.yaml")
         print(f"{listed} things of the source report have their places; {waiting} wait for runs")
+        names = json.dumps(crossrefs.names(text), indent=0, ensure_ascii=False)
+        (made / "names.json").write_text(names, encoding="utf-8")
         text = crossrefs.finish(text) + "\n\n# References {.unnumbered}\n"
         _typeset(text, STAMP[profile], made, _moment(folder))
         target = folder / "report"
         target.mkdir(parents=True, exist_ok=True)
-        for name in ("index.html", "report.pdf"):
+        for name in ("index.html", "report.pdf", "names.json"):
             shutil.copyfile(made / name, target / f".{name}")
             (target / f".{name}").replace(target / name)
     return target
@@ -222,7 +224,7 @@ def _section(path: Path, made: Path, waiting_for: Collection[str] = ()) -> str:
         if name.endswith(".svg"):
             data = data.replace(b"</svg>", DARK)
         (made / name).write_bytes(data)
-    return body
+    return crossrefs.from_notebook(body)
 
 
 def _script() -> str:

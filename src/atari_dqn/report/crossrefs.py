@@ -3,8 +3,14 @@
 A label begins with what it names: fig- or vid- (both are figures), tbl-, sec-, eq-. Where a
 figure or table has nothing to show yet, a division of class `absent` carries its label, so that
 what refers to it stays whole.
+
+Computed text refers to a label by `@fig-...`. The notebooks' own text is also read in JupyterLab,
+which knows no labels: there a label hides in a comment, `<!-- {#fig-...} -->`, and a reference is a
+link with the number that the last report gave it, `[Figure 7](#fig-...)`. `make numbers` renews
+these.
 """
 
+import json
 import re
 from collections import Counter
 from collections.abc import Iterator
@@ -12,7 +18,9 @@ from pathlib import Path
 
 from ruamel.yaml import YAML
 
-from atari_dqn.runs.files import RunError
+from atari_dqn.runs.files import RunError, project_root
+
+NAMES = "results/report/names.json"  # what the last report called each label
 
 KINDS = {"fig": "Figure", "vid": "Figure", "tbl": "Table", "sec": "Section", "eq": "Equation"}
 _LABEL = re.compile(r'(?:\{#|\bid=")((?:fig|vid|tbl|sec|eq)-[a-z0-9-]+)( \.absent)?')
@@ -25,6 +33,15 @@ _NUMBERED = re.compile(r"\{#(eq-[a-z0-9-]+) \.equation\}")
 _FIGURE = re.compile(
     r"^!\[[^\n]*\]\([^\n]*\)\{#(fig-[a-z0-9-]+)( alt=\"[^\"\n]{20,}\")?", re.MULTILINE
 )
+
+
+_HIDDEN = re.compile(r"<!-- (\{[^{}]*\}) -->")
+_LINK = re.compile(r"\[[^\[\]]+\]\(#((?:fig|vid|tbl|sec|eq)-[a-z0-9-]+)\)(?!\{)")
+
+
+def from_notebook(text: str) -> str:
+    """A notebook's own text with labels and references as pandoc and `finish` know them."""
+    return _LINK.sub(r"@\1", _HIDDEN.sub(r"\1", text))
 
 
 def finish(text: str) -> str:
@@ -50,6 +67,20 @@ def finish(text: str) -> str:
     )
     text = _letter_appendices(text)
     return _REFERENCE.sub(lambda match: _link(match[1], numbers[match[1]]), text)
+
+
+def names(text: str) -> dict[str, str]:
+    """{label: "Figure 7"} of every label in the text, as references name it."""
+    return {label: _name(label, number) for label, number in _numbers(text).items()}
+
+
+def renumber(notebook: Path, names: dict[str, str]) -> bool:
+    """Writes the names of labels into the links of a notebook's own text; whether any changed."""
+    before = notebook.read_text(encoding="utf-8")
+    after = _LINK.sub(lambda link: f"[{names.get(link[1], 'below')}](#{link[1]})", before)
+    if after != before:
+        notebook.write_text(after, encoding="utf-8")
+    return after != before
 
 
 def labels(text: str) -> set[str]:
@@ -147,7 +178,16 @@ def _letter_appendices(text: str) -> str:
 
 
 def _link(label: str, number: str) -> str:
+    return f"[{_name(label, number)}](#{label}){{.ref}}"
+
+
+def _name(label: str, number: str) -> str:
     kind = "Appendix" if number[:1].isalpha() else KINDS[label.partition("-")[0]]
-    if not number:
-        return f"[{kind.lower()} still to come](#{label}){{.ref}}"
-    return f"[{kind}\N{NO-BREAK SPACE}{number}](#{label}){{.ref}}"
+    return f"{kind}\N{NO-BREAK SPACE}{number}" if number else f"{kind.lower()} still to come"
+
+
+if __name__ == "__main__":
+    known = json.loads((project_root() / NAMES).read_text(encoding="utf-8"))
+    for path in sorted((project_root() / "notebooks").glob("[0-9]*.ipynb")):
+        if renumber(path, known):
+            print(f"renumbered: {path.name}")

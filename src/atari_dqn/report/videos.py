@@ -62,8 +62,8 @@ def show_best(section: Section, label: str, seconds: int) -> None:
         label=label,
         caption=f"{params.title(run.agent)} after {games:,} training games: the first {seconds} "
         f"seconds of a game that ends with {_scored(video)}. [Beside it are what the network sees "
-        "and the value it gives each action.]{.page} [Below is the value of its best action (max Q), "
-        "with a thin line at each picture.]{.paper}",
+        "and the value it gives each action.]{.page} [Below is the value of its best action "
+        "(max Q), with a thin line at each picture.]{.paper}",
         alt=ALT.format(section.facts.title),
         data=str(run.name),
     )
