@@ -7,7 +7,7 @@ import nbformat
 import numpy as np
 import pandas as pd
 import pytest
-from devtools import opened
+from browser import running
 from matplotlib import pyplot as plt
 
 from atari_dqn.games import GAMES
@@ -133,12 +133,10 @@ def page(tmp_path_factory):
     notebook = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell("", outputs=[output])])
     nbformat.write(notebook, folder / "00_curves.ipynb")
     text = build._section(folder / "00_curves.ipynb", folder)
-    build._typeset(f"# Curves {{#sec-curves}}\n\n{text}", "", folder)
-    with opened(folder / "index.html", tmp_path_factory.mktemp("browser")) as found:
-        found.size(1280, 1000)
-        found.evaluate(
-            "document.getElementById('fig-curves').scrollIntoView({behavior: 'instant'})"
-        )
+    build._typeset(f"# Curves {{#sec-curves}}\n\n{text}", "", folder, None)
+    with running(tmp_path_factory.mktemp("browser")) as found:
+        found.open(folder / "index.html")
+        found("document.getElementById('fig-curves').scrollIntoView({behavior: 'instant'})")
         yield found, meta["curves"]["panels"]
 
 
@@ -161,7 +159,7 @@ def point(page, panel, x, y=0.5):
         top + (panel["top"] + panel["height"]) * height,
     ]
     at = edges[0] + share * (edges[2] - edges[0])
-    page.point(at, edges[1] + y * (edges[3] - edges[1]))
+    page.move(at, edges[1] + y * (edges[3] - edges[1]))
     return edges
 
 
@@ -185,9 +183,9 @@ def test_the_values_are_those_of_the_panel_under_the_pointer(page, number, x, na
         assert float(shown[title]) == pytest.approx(value(agent, x / unit), abs=0.5)
     rectangle = "(({left, top, right, bottom}) => [left, top, right, bottom])"
     bounds = "document.querySelector('{}').getBoundingClientRect()"
-    _, top, _, bottom = browser.evaluate(rectangle + f"({bounds.format('#tip')})")
+    _, top, _, bottom = browser(rectangle + f"({bounds.format('#tip')})")
     assert bottom <= edges[1] or top >= edges[3], "the box covers the curves that it reads"
-    left, top, _, bottom = browser.evaluate(rectangle + f"({bounds.format('.marker')})")
+    left, top, _, bottom = browser(rectangle + f"({bounds.format('.marker')})")
     assert (top, bottom) == pytest.approx((edges[1], edges[3]), abs=1.5)
     share = (left - edges[0]) / (edges[2] - edges[0])
     low, high = (panels[number][end] for end in ("x_min", "x_max"))
@@ -196,7 +194,7 @@ def test_the_values_are_those_of_the_panel_under_the_pointer(page, number, x, na
 
 def test_the_page_shows_the_figure_and_none_of_the_numbers_behind_it(page):
     browser, _ = page
-    text = browser.evaluate("document.body.innerText")
+    text = browser("document.body.innerText")
     assert "Curves." in text
     assert "panels" not in text
 
@@ -217,26 +215,26 @@ def test_between_the_panels_and_beside_them_nothing_is_shown(page):
     assert browser.wait(TIP)
     for x, y in ((200, 1.08), (-20, 0.5)):
         point(browser, main, x, y)
-        assert browser.evaluate(TIP) == []
-        assert browser.evaluate("document.querySelector('.marker').hidden")
+        assert browser(TIP) == []
+        assert browser("document.querySelector('.marker').hidden")
 
 
 def test_buttons_switch_curves_and_their_values_by_keyboard(page):
     browser, (main, *_) = page
     buttons = "[...document.querySelectorAll('.switches button')]"
-    assert browser.evaluate(f"{buttons}.map((one) => one.textContent)") == [
+    assert browser(f"{buttons}.map((one) => one.textContent)") == [
         "DQN",
         "Double DQN",
         "source report",
         "Dopamine",
     ]
     source = "document.querySelector('#fig-curves img').src"
-    before = browser.evaluate(source)
-    browser.evaluate(f"{buttons}[0].focus()")
-    browser.press("Enter", 13)
+    before = browser(source)
+    browser(f"{buttons}[0].focus()")
+    browser.press("Enter")
     pressed = f"{buttons}.map((one) => one.getAttribute('aria-pressed'))"
-    assert browser.evaluate(pressed) == ["false", "true", "true", "true"]
-    drawn = browser.evaluate(f"decodeURIComponent({source})")
+    assert browser(pressed) == ["false", "true", "true", "true"]
+    drawn = browser(f"decodeURIComponent({source})")
     hidden = {one["id"] for one in main["artists"] if "DQN" in one["switches"]}
     assert len(hidden) == 2  # its curve, and the source report's points of it
     for one in main["artists"]:
@@ -244,9 +242,9 @@ def test_buttons_switch_curves_and_their_values_by_keyboard(page):
         assert ("display: none" in tag) == (one["id"] in hidden)
     point(browser, main, 200)
     assert [line.partition(":")[0] for line in browser.wait(TIP)[1:]] == ["Double DQN"]
-    browser.press("Enter", 13)
-    assert browser.evaluate(pressed) == ["true"] * 4
-    assert "display: none" not in browser.evaluate(f"decodeURIComponent({source})")
-    assert browser.evaluate(source) != before  # an image of its own now
+    browser.press("Enter")
+    assert browser(pressed) == ["true"] * 4
+    assert "display: none" not in browser(f"decodeURIComponent({source})")
+    assert browser(source) != before  # an image of its own now
     point(browser, main, 200)
     assert len(browser.wait(TIP)) == 4

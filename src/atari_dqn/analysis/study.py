@@ -83,7 +83,7 @@ class Section:
 
     @cached_property
     def episodes(self) -> pd.DataFrame:
-        """A row a training game: `training.Episode`, agent, seed, variation, and the seconds so
+        """A row per training game: `training.Episode`, agent, seed, variation, and the seconds so
         far by the clock and of processor time."""
         tables = []
         for run in self.usable:
@@ -118,12 +118,12 @@ class Section:
 
     @cached_property
     def stored_evaluations(self) -> pd.DataFrame:
-        """A row an evaluation game, of whichever of a run's models and however played."""
+        """A row per evaluation game, of whichever of a run's models and however played."""
         return read_table(self.usable, "evaluations.csv")
 
     @cached_property
     def all_evaluations(self) -> pd.DataFrame:
-        """A row an evaluation game of each run's newest model that was evaluated, at whatever
+        """A row per evaluation game of each run's newest model that was evaluated, at whatever
         difficulty and stickiness."""
         table = self.stored_evaluations
         if table.empty:
@@ -147,15 +147,20 @@ class Section:
         counted = ("scored", "conceded", "punches")
         return table.assign(**{f"{name}_per_minute": table[name] / minutes for name in counted})
 
-    @cached_property
+    @property
     def random_play(self) -> pd.DataFrame:
-        """A row an evaluation game of random moves only, at the experiment's difficulty and
-        stickiness; the same game counts once, whichever models stood by."""
+        """`random_play_at` the experiment's difficulty."""
+        return self.random_play_at(self.params.difficulty)
+
+    def random_play_at(self, difficulty: int) -> pd.DataFrame:
+        """A row per evaluation episode of random moves only, at a difficulty and the experiment's
+        stickiness; the same episode counts once, whichever models stood by."""
         table = self.stored_evaluations
         if table.empty:
             return table
-        p = self.params
-        alike = (table.difficulty == p.difficulty) & (table.sticky_actions == p.sticky_actions)
+        alike = (table.difficulty == difficulty) & (
+            table.sticky_actions == self.params.sticky_actions
+        )
         return table[alike & (table.epsilon == 1.0)].drop_duplicates(["seed", "game"])
 
     @property
@@ -204,7 +209,7 @@ class Section:
         low, high = seeds.min(), seeds.max()
         number = f"{low}" if low == high else f"{low} to {high}"
         few = "; indicative only" if low <= 3 else ""
-        return f"seeds an agent: {number}; {len(self.episodes):,} training games{few}"
+        return f"seeds per agent: {number}; {len(self.episodes):,} training games{few}"
 
 
 class Study:
@@ -253,7 +258,7 @@ def _last(run: Run, file: str, column: str) -> float:
 
 
 def run_table(study: Study) -> pd.DataFrame:
-    """A row a stored run: state, games, agent steps, hours, resumes, commits, parameters' hash."""
+    """A row per stored run: state, games, agent steps, hours, resumes, commits, hash."""
     rows = []
     for run in study.runs:
         state = run.state()

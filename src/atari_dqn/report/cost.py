@@ -72,13 +72,13 @@ def show_throughput() -> None:
     peer = best[(best.library != OURS) & (best.agent == "dqn")].iloc[0]
     reached = "reached" if ours.ratio_to_best_peer >= AIMED_RATIO else "missed"
     show_text(
-        f"With DQN this project makes {ours.steps_per_second:.0f} agent steps a second, "
+        f"With DQN this project makes {ours.steps_per_second:.0f} agent steps per second, "
         f"{ours.ratio_to_best_peer:.2f} times {peer.library}, the "
         "faster of two well-known libraries, in its best set-up. (The aim of "
         f"{AIMED_RATIO} times is {reached}.) A machine's *roofline* is the speed it would have if "
         "it did nothing but the necessary arithmetic at its processor's highest speed "
-        f"({machine['float32_gflops_a_core']:.0f} billion operations a second and core) and the "
-        "emulation. A program that computes each convolution as it is defined cannot pass "
+        f"({machine['float32_gflops_per_core']:.0f} billion operations per second and core) and "
+        "the emulation. A program that computes each convolution as it is defined cannot pass "
         f"{1 / peer.share_of_direct_roofline:.2f} times {peer.library}; ours reaches "
         f"{ours.share_of_direct_roofline:.0%} of that roofline, because it needs fewer "
         "multiplications. Held to the roofline of those, it reaches "
@@ -95,17 +95,17 @@ def _gain_of_cores(ours: pd.DataFrame, cores: int) -> str:
     gains = same.set_index("setup").steps_per_second / alone.steps_per_second
     if cores == 1:
         return "The machine has one core only."
-    both = same.set_index("setup").loc["one process a core, 1 thread"]
+    both = same.set_index("setup").loc["one process per core, 1 thread"]
     processes = gains[both.name]
     text = (
-        f"On its {cores} cores, one process a core makes {processes:.2f} times the agent steps of "
-        f"one process on one core, and one process of {cores} threads "
-        f"{gains[f'one process, {cores} threads']:.2f} times: hence one run a core."
+        f"On its {cores} cores, one process per core makes {processes:.2f} times the agent steps "
+        f"of one process on one core, and one process of {cores} threads "
+        f"{gains[f'one process, {cores} threads']:.2f} times: hence one run per core."
     )
     if processes > cores:
         text += (
             f" (More than {cores} times cannot be; between rounds the one process varied from "
-            f"{alone.low:.0f} to {alone.high:.0f} agent steps a second, and the {cores} from "
+            f"{alone.low:.0f} to {alone.high:.0f} agent steps per second, and the {cores} from "
             f"{both.low:.0f} to {both.high:.0f}.)"
         )
     return text
@@ -168,7 +168,7 @@ def show_whole_run() -> None:
     first, last = measured.iloc[0], measured.iloc[-1]
     show_text(
         f"A training process of Double DQN in Boxing, alone on one core, makes "
-        f"{first.steps_per_second:.0f} agent steps a second with {first.transitions:,.0f} stored "
+        f"{first.steps_per_second:.0f} agent steps per second with {first.transitions:,.0f} stored "
         f"transitions and {last.steps_per_second:.0f} with {last.transitions:,.0f}. With these, "
         f"writing a checkpoint takes {last.checkpoint_seconds:.1f} seconds, "
         f"{last.checkpoint_share_of_time:.1%} of the run's time, and the process holds "
@@ -177,7 +177,7 @@ def show_whole_run() -> None:
     shown = pd.DataFrame(
         {
             "transitions": measured.transitions.map("{:,}".format),
-            "agent steps a second": measured.steps_per_second,
+            "agent steps per second": measured.steps_per_second,
             "checkpoint: seconds": measured.checkpoint_seconds,
             "MB": measured.checkpoint_megabytes,
             "share of time": measured.checkpoint_share_of_time.map("{:.1%}".format),

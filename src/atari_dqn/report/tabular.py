@@ -73,7 +73,7 @@ def learn(
 def compare(
     schemes: dict[str, Callable[[int], float]], games: int, seeds: Iterable[int]
 ) -> pd.DataFrame:
-    """A row a game of every exploration scheme and seed: exploration, seed, game, score, mean."""
+    """A row per game of every exploration scheme and seed: exploration, seed, game, score, mean."""
     tables = []
     for name, epsilon in schemes.items():
         for seed in seeds:

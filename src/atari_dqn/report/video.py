@@ -246,7 +246,7 @@ def _telling(games: list[_Recording], steps: range) -> int:
 
 
 class _Stage:
-    """A canvas with a column a game, and for a single one its network's mind beside it."""
+    """A canvas with a column per game, and for a single one its network's mind beside it."""
 
     def __init__(self, recordings: dict[str, _Recording]):
         games = list(recordings.values())

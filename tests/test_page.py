@@ -1,0 +1,502 @@
+"""What readers see: a small report through the real templates, on paper and in a real browser."""
+
+import base64
+import io
+import json
+import re
+from datetime import UTC, datetime
+
+import av
+import browser
+import nbformat
+import numpy as np
+import pytest
+import typst
+from nbformat.v4 import new_code_cell, new_markdown_cell, new_notebook, new_output
+from PIL import Image
+
+from atari_dqn.report import build, crossrefs
+
+GREEN = (0, 160, 0)  # of a picture in a drawing, as the game's are
+WORDS = "The agent plays on, and the score says how well. " * 12
+LONG = r"$$" + " + ".join(rf"\gamma^{{{power}}} r_{{t+{power}}}" for power in range(20)) + "$$"
+TEXT = rf"""
+# Start {{#sec-start}}
+
+The share $\varepsilon$, or more, is random. {WORDS}
+
+See @fig-tall, @fig-wide, @vid-hero, @tbl-long, @eq-long, @sec-rules, @sec-more and [@mnih2015].
+
+{LONG} {{#eq-long}}
+
+$$a = b$$ {{#eq-short}}
+
+[Only the page says this.]{{.page}} [Only paper says this.]{{.paper}}
+
+::: {{.badge .partial}}
+Half done.
+:::
+
+``` python
+def first():
+    return "{"long " * 40}"
+
+
+def second():
+    return 2
+```
+
+# Rules {{#sec-rules}}
+
+``` text
+no sentence
+```
+
+With $\gamma$ near 1 the agent is patient, e.g. in Boxing. That is another sentence.
+
+::: {{.board}}
+::: {{.tile .yes}}
+**1** The first claim.
+
+Source: 51.6. Here: 48.2 (45.0 to 51.3).
+
+[Section](#sec-rules){{.more}}
+:::
+::: {{.tile .no}}
+**2** The second claim.
+
+Source: 3.1. Here: 0.5.
+
+[Section](#sec-rules){{.more}}
+:::
+::: {{.tile .mixed}}
+**3** The third claim.
+
+Source: 3.1. Here: 0.5.
+
+[Section](#sec-rules){{.more}}
+:::
+::: {{.tile .open}}
+**4** The fourth claim.
+
+Source: 51.6. Here: not yet.
+
+[Section](#sec-rules){{.more}}
+:::
+:::
+
+| row | value |
+|-----|-------|
+{chr(10).join(f"| {row} | {row * row} |" for row in range(80))}
+
+: Many rows. {{#tbl-long}}
+"""
+APPENDIX = """
+# More {#sec-more .appendix}
+
+Something more.
+
+## Most
+
+# References {.unnumbered}
+"""
+
+
+def drawing(width, height):
+    """An SVG as matplotlib draws it: a white ground, something black and a green picture."""
+    stream = io.BytesIO()
+    Image.new("RGB", (8, 8), GREEN).save(stream, "png")
+    picture = base64.b64encode(stream.getvalue()).decode()
+    return f"""<svg xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink"
+width="{width}pt" height="{height}pt" viewBox="0 0 {width} {height}" version="1.1">
+<rect width="{width}" height="{height}" fill="#ffffff"/>
+<rect width="{width}" height="{height / 4}" y="{height / 4}" fill="#000000"/>
+<image width="{width}" height="{height / 4}" y="{height / 2}" preserveAspectRatio="none"
+xlink:href="data:image/png;base64,{picture}"/></svg>"""
+
+
+def film():
+    """A video of 64 x 48 pixels that lasts three seconds, and its poster."""
+    stream = io.BytesIO()
+    with av.open(stream, "w", format="mp4") as file:
+        track = file.add_stream("libx264", rate=10)
+        track.width, track.height, track.pix_fmt = 64, 48, "yuv420p"
+        for level in range(30):
+            pixels = np.full((48, 64, 3), level * 8, np.uint8)
+            file.mux(track.encode(av.VideoFrame.from_ndarray(pixels)))
+        file.mux(track.encode())
+    poster = io.BytesIO()
+    Image.new("RGB", (64, 48)).save(poster, "png")
+    return tuple(base64.b64encode(one.getvalue()).decode() for one in (stream, poster))
+
+
+def figure(label, width, height):
+    info = {"label": label, "caption": f"A *{label}*.", "alt": f"A drawing of {label} in it"}
+    data = {"image/svg+xml": drawing(width, height)}
+    return new_output("display_data", data, metadata={"image/svg+xml": info})
+
+
+def video(label):
+    mp4, poster = film()
+    info = {"caption": f"A *film*. {'[Page.]{.page} [Paper.]{.paper}'}", "video": mp4}
+    info |= {"label": label, "alt": "A film of nothing in grey", "poster": poster}
+    data = {"text/html": "<video></video>", "image/png": poster}
+    return new_output("display_data", data, metadata={"image/png": info})
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """The folder of a small report."""
+    folder = tmp_path_factory.mktemp("page")
+    shown = [figure("fig-wide", 450, 250), figure("fig-tall", 200, 900), video("vid-hero")]
+    cells = [
+        new_markdown_cell("What was *found*.", metadata={"tags": ["abstract"]}),
+        new_markdown_cell(TEXT),
+        *(new_code_cell("show()", outputs=[one]) for one in [*shown, video("vid-second")]),
+        new_markdown_cell(APPENDIX),
+    ]
+    nbformat.write(new_notebook(cells=cells), folder / "00_small.ipynb")
+    text = crossrefs.finish(build._section(folder / "00_small.ipynb", folder))
+    build._typeset(text, "", folder, datetime(2020, 2, 3, tzinfo=UTC))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def html(made):
+    return (made / "index.html").read_text(encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def tab(tmp_path_factory):
+    with browser.running(tmp_path_factory.mktemp("browser")) as tab:
+        yield tab
+
+
+@pytest.fixture
+def show(made, tab):
+    """Opens the page, and returns the browser."""
+
+    def opened(**how):
+        tab.open(made / "index.html", **how)
+        return tab
+
+    return opened
+
+
+def pixel(page, selector, down):
+    """The colour in the middle of an element's width, at a share of its height."""
+    x, y = page(
+        f"""(() => {{
+          const one = document.querySelector("{selector}");
+          one.scrollIntoView({{ block: "center", behavior: "instant" }});
+          const box = one.getBoundingClientRect();
+          return [box.left + Math.min(box.width, 300) / 2, box.top + box.height * {down}];
+        }})()"""
+    )
+    page("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+    return Image.open(io.BytesIO(page.picture())).convert("RGB").getpixel((int(x), int(y)))
+
+
+# The page
+
+
+def test_a_reference_to_an_equation_shows_the_formula_and_not_its_source(show):
+    page = show()
+    page.hover("a.ref[href='#eq-long']")
+    assert page("tip.querySelector('math').getBoundingClientRect().width") > 100
+    assert "\\" not in page("tip.innerText")
+
+
+def test_a_reference_to_a_table_shows_its_caption_and_first_rows(show):
+    page = show()
+    page.hover("a.ref[href='#tbl-long']")
+    assert "Many rows." in page("tip.innerText")
+    assert page("[...tip.querySelectorAll('td')].map((cell) => cell.innerText).join()").startswith(
+        "0,0,1,1,2,4"
+    )
+    assert 2 < page("tip.querySelectorAll('tr').length") < 10
+    assert page("document.querySelectorAll('#tbl-long').length") == 1
+
+
+def test_a_reference_to_a_section_shows_its_title_and_first_sentence(show):
+    page = show()
+    page.hover("a.ref[href='#sec-rules']")
+    title, sentence = page("[...tip.querySelectorAll('p')].map((one) => one.innerText)")
+    assert title.split() == ["2", "Rules"]
+    assert sentence == "With γ near 1 the agent is patient, e.g. in Boxing."
+    page.hover("a.ref[href='#sec-more']")
+    assert page("tip.querySelector('p').innerText").split() == ["A", "More"]
+
+
+def test_a_reference_to_a_figure_shows_it_and_a_citation_its_entry(show):
+    page = show()
+    page.hover("a.ref[href='#vid-hero']")
+    assert page("tip.querySelector('img').naturalWidth") == 64
+    assert "A film." in page("tip.innerText")
+    page.hover("a[href='#ref-mnih2015']")
+    assert "Human-Level Control" in page("tip.innerText")
+    page.move(0, 0)
+    assert page("tip.hidden")
+
+
+@pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
+@pytest.mark.parametrize("width", [1280, 390])
+@pytest.mark.parametrize("name", ["fig-tall", "fig-wide"])
+def test_the_light_box_shows_a_whole_figure_and_a_button_that_closes_it(show, width, dark, name):
+    page = show(width=width, dark=dark)
+    page(f"document.querySelector('#{name} img').click()")
+    page.wait("lighted.complete")
+    left, top, right, bottom = page(
+        "(({ left, top, right, bottom }) => [left, top, right, bottom])"
+        "(lighted.getBoundingClientRect())"
+    )
+    assert left >= 0
+    assert top >= 0
+    assert right <= width
+    assert bottom <= 800
+    assert right - left > 0.9 * width or bottom - top > 0.9 * 800, "as large as there is room for"
+    page.click("#light img")
+    assert page("lighted.getBoundingClientRect().width") > 1.5 * (right - left)
+    page.click("#light button")  # by its place: whatever covers it would be clicked
+    assert not page("light.open")
+
+
+@pytest.mark.parametrize("inside", ["figure img", ".formula", "pre"])
+def test_what_is_too_wide_for_a_phone_scrolls_within_itself_and_shows_it(show, inside):
+    page = show(width=390)
+    assert page("document.documentElement.scrollWidth") == 390
+    page(f"window.wide = document.querySelector('main {inside}').closest('.wide')")
+    page.wait("wide.matches('.after:not(.before)')")
+    assert page("getComputedStyle(wide, '::after').content") != "none"
+    assert page("wide.firstChild.tabIndex") == 0, "the keyboard scrolls it"
+    page("wide.firstChild.scrollTo(1e6, 0)")
+    page.wait("wide.matches('.before:not(.after)')")
+    assert page("getComputedStyle(wide, '::after').content") == "none"
+
+
+def test_figures_keep_a_readable_scale_on_a_phone_and_fit_a_desktop(show):
+    page = show(width=390)
+    assert page("document.querySelector('#fig-wide img').getBoundingClientRect().width") > 500
+    page = show(width=1280)
+    page.wait("!document.querySelector('#fig-wide .wide').matches('.after')")
+
+
+@pytest.mark.parametrize("width", [1280, 390])
+def test_equations_carry_their_numbers_at_the_margin(show, width):
+    page = show(width=width)
+    ends = page(
+        """[...document.querySelectorAll(".equation .number")].map((number) => [
+          number.innerText, number.getBoundingClientRect().right,
+          number.closest(".equation").getBoundingClientRect().right])"""
+    )
+    assert [number for number, _, _ in ends] == ["(1)", "(2)"]
+    for _, right, margin in ends:
+        assert right == pytest.approx(margin, abs=1)
+        assert right < width
+
+
+def test_no_line_begins_with_the_comma_after_a_formula(show):
+    page = show()
+    breaks = page(
+        """(() => {
+          const formula = document.querySelector("main p math[display=inline]");
+          const paragraph = formula.closest("p");
+          const comma = document.createRange();
+          comma.setStart(formula.nextSibling, 0);
+          comma.setEnd(formula.nextSibling, 1);
+          const found = [];
+          for (let width = 60; width < 400; width += 1) {
+            paragraph.style.width = `${width}px`;
+            found.push(comma.getBoundingClientRect().left < formula.getBoundingClientRect().left);
+          }
+          return [comma.toString(), found.filter(Boolean).length, found.length];
+        })()"""
+    )
+    assert breaks == [",", 0, 340]
+
+
+@pytest.mark.parametrize("width", [1280, 390])
+def test_in_the_dark_drawings_lie_on_the_page_and_pictures_keep_their_colours(show, width):
+    page = show(width=width, dark=True)
+    ground = tuple(
+        int(part)
+        for part in re.findall(r"\d+", page("getComputedStyle(document.body).backgroundColor"))
+    )
+    image = "#fig-wide img"
+    assert pixel(page, image, 0.12) == pytest.approx(ground, abs=3)
+    assert min(pixel(page, image, 0.37)) > 245, "black lines become white"
+    assert pixel(page, image, 0.62) == pytest.approx(GREEN, abs=40)
+
+
+def test_in_the_light_drawings_are_as_they_were_drawn(show):
+    page = show()
+    assert pixel(page, "#fig-wide img", 0.12) == (255, 255, 255)
+    assert pixel(page, "#fig-wide img", 0.37) == (0, 0, 0)
+    assert pixel(page, "#fig-wide img", 0.62) == pytest.approx(GREEN, abs=3)
+
+
+IN_VIEW = (
+    "document.querySelector('#vid-hero').scrollIntoView({ block: 'center', behavior: 'instant' })"
+)
+HERO, SECOND = (f"document.querySelector('#vid-{name} video')" for name in ("hero", "second"))
+
+
+def test_the_first_video_plays_by_itself_while_it_is_in_view(show):
+    page = show()
+    assert page(f"{HERO}.paused")
+    page(IN_VIEW)
+    page.wait(f"!{HERO}.paused && {HERO}.currentTime > 0")
+    assert page(f"{HERO}.muted && {HERO}.loop")
+    assert page(f"{SECOND}.paused")
+    page("window.scrollTo({ top: 0, behavior: 'instant' })")
+    page.wait(f"{HERO}.paused")
+    page(IN_VIEW)
+    page.wait(f"!{HERO}.paused")
+    page(f"{HERO}.pause()")  # as its reader does
+    page("window.scrollTo({ top: 0, behavior: 'instant' })")
+    page(IN_VIEW)
+    page("new Promise((done) => setTimeout(done, 300))")
+    assert page(f"{HERO}.paused")
+
+
+def test_no_video_plays_by_itself_for_who_wants_no_motion(show):
+    page = show(motion=False)
+    page(IN_VIEW)
+    page("new Promise((done) => setTimeout(done, 300))")
+    assert page(f"{HERO}.paused")
+
+
+def test_videos_show_their_controls_only_to_who_points_at_them(show, html):
+    page = show()
+    assert page("[...document.querySelectorAll('video')].map((one) => one.controls)") == [False] * 2
+    page.hover("#vid-second video")
+    assert page(f"{SECOND}.controls")
+    page.move(0, 0)
+    assert not page(f"{SECOND}.controls")
+    page(f"{SECOND}.focus()")
+    assert page(f"{SECOND}.controls")
+    assert html.count("<video controls") == 2, "where there is no JavaScript they are always there"
+
+
+def test_a_video_has_its_room_before_it_is_loaded(html):
+    assert len(re.findall('<video[^>]* width="64" height="48"', html)) == 2
+
+
+def test_a_tile_of_the_board_is_a_link_as_a_whole_and_says_its_verdict_in_a_word(show):
+    page = show(width=390)
+    tiles = page(
+        """[...document.querySelectorAll(".tile")].map((tile) => {
+          tile.scrollIntoView({ block: "center", behavior: "instant" });
+          const box = tile.getBoundingClientRect();
+          const [x, y] = [box.left + 6, box.bottom - 6];
+          return [tile.innerText, document.elementFromPoint(x, y).getAttribute("href"), box.left];
+        })"""
+    )
+    words = ["✓ yes", "✗ no", "≈ mixed", "○ open"]
+    assert [text.splitlines()[0] for text, _, _ in tiles] == words
+    assert {link for _, link, _ in tiles} == {"#sec-rules"}
+    assert len({left for _, _, left in tiles}) == 2, "columns on a phone"
+    page = show(width=1280, dark=True)
+    assert (
+        len(set(page("[...document.querySelectorAll('.tile')].map((tile) => tile.offsetTop)"))) == 1
+    )
+
+
+def test_the_page_says_of_itself_what_it_is(html):
+    head = dict(re.findall(r'<meta (?:name|property)="([^"]+)" content="([^"]*)"', html))
+    assert head["author"] == "The atari-dqn project"
+    assert head["date"] == "2020-02-03"
+    assert head["og:title"] == build.TITLE
+    assert head["description"] == head["og:description"] == build.DESCRIPTION
+    assert "og:image" not in head
+    assert "3 February 2020" in html
+
+
+def test_references_link_to_their_papers_in_both_media(made, html):
+    address = "https://doi.org/10.1038/nature14236"
+    assert f'href="{address}"' in html
+    assert f'#link("{address}")' in (made / "report.typ").read_text(encoding="utf-8")
+
+
+def test_each_medium_has_the_words_meant_for_it(made, html):
+    paper = (made / "report.typ").read_text(encoding="utf-8")
+    for text, own, other in ((html, "page", "paper"), (paper, "paper", "page")):
+        assert f"Only the {own} says".replace("the paper", "paper") in text
+        assert f"Only the {other} says".replace("the paper", "paper") not in text
+        assert f"{own.title()}." in text
+        assert f" {other.title()}." not in text
+
+
+def test_the_abstract_comes_first(made, html):
+    for text, chapter in ((html, "<h1 data"), ((made / "report.typ").read_text(), "= Start")):
+        assert len(re.findall("What was", text)) == 1
+        assert text.index("What was") < text.index(chapter)
+
+
+# Paper
+
+
+def asked(made, code):
+    """What Typst answers to a question about the document, once it is laid out."""
+    source = (made / "report.typ").read_text(encoding="utf-8")
+    (made / "asked.typ").write_text(f"{source}\n#context [#metadata({code}) <answer>]")
+    found = typst.query(
+        str(made / "asked.typ"), "<answer>", root=str(made), field="value", one=True
+    )
+    return json.loads(found)
+
+
+def test_figures_float_and_have_text_alternatives_on_paper(made):
+    figures = asked(
+        made,
+        "query(figure.where(kind: image)).map(f => (str(f.label), f.body.alt, repr(f.placement)))",
+    )
+    assert figures == [
+        ["fig-wide", "A drawing of fig-wide in it", "auto"],
+        ["fig-tall", "A drawing of fig-tall in it", "auto"],
+        ["vid-hero", "A film of nothing in grey", "auto"],
+        ["vid-second", "A film of nothing in grey", "auto"],
+    ]
+
+
+def test_equations_are_numbered_on_paper_as_on_the_page(made):
+    numbers = asked(
+        made,
+        "query(math.equation.where(block: true)).map("
+        "e => (str(e.label), numbering(e.numbering, ..counter(math.equation).at(e.location()))))",
+    )
+    assert numbers == [["eq-long", "(1)"], ["eq-short", "(2)"]]
+
+
+def test_appendices_are_lettered_in_both_media(made, html):
+    numbers = asked(
+        made,
+        "query(heading).map(h => if h.numbering == none { none } else "
+        "{ numbering(h.numbering, ..counter(heading).at(h.location())) })",
+    )
+    assert numbers == ["1", "2", "A", "A.1", None]
+    assert re.findall(r'<h[12][^>]*data-number="([^"]+)"', html) == ["1", "2", "A", "A.1"]
+    assert "Appendix\N{NO-BREAK SPACE}A</a>" in html
+
+
+def test_a_long_table_goes_on_over_pages_under_its_header(made):
+    header = asked(made, "query(<tbl-long>).first().body.body.children.first().repeat")
+    assert header is True
+    pages = asked(made, "(locate(<tbl-long>).page(), locate(<sec-more>).page())")
+    assert pages[1] > pages[0]
+
+
+def test_the_first_page_has_the_contents_and_who_wrote_it_when(made):
+    assert asked(made, "query(heading.where(level: 1)).map(h => h.location().page())")[0] == 2
+    assert asked(made, "query(outline).map(o => o.location().page())") == [1]
+    pdf = (made / "report.pdf").read_bytes()
+    assert b"The atari-dqn project" in pdf
+    assert b"D:20200203" in pdf
+    assert b"reproducibility" in pdf
+
+
+def test_a_listing_breaks_between_definitions_and_nowhere_else(made):
+    paper = (made / "report.typ").read_text(encoding="utf-8")
+    listings = re.findall(r"^#Skylighting\(\((.*?)\)\);$", paper, re.MULTILINE | re.DOTALL)
+    assert [len(re.findall("Tok..def", one)) for one in listings[:2]] == [1, 1]
+    assert "breakable: lines.len() > 60" in paper
