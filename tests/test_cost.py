@@ -125,7 +125,7 @@ def test_our_speed_is_told_with_how_many_times_the_fastest_peers_it_is(folder, s
         *(40, 45, 60, 150, 180)
     ]
     roofs = [line.get_xdata()[0] for line in bars.get_lines() if line.get_linestyle() == "--"]
-    assert roofs == [150, 150]
+    assert set(roofs) == {150}
     assert numbers(shown.captions["fig-throughput"])[:3] == [2, 32, 4], "cores, batch, period"
 
 

@@ -1,6 +1,8 @@
 """Labels, numbers and completeness of the report's text."""
 
+import json
 import re
+from pathlib import Path
 
 import pypandoc
 import pytest
@@ -9,6 +11,7 @@ from atari_dqn.report import crossrefs
 from atari_dqn.report.build import TEMPLATES
 from atari_dqn.runs.files import RunError
 
+ROOT = Path(__file__).parents[1]
 FIGURE = '![A caption.](a.svg){#fig-one alt="A picture of something."}'
 TEXT = f"""
 # First {{#sec-first}}
@@ -53,7 +56,7 @@ def test_references_become_links_with_numbers_in_the_order_of_the_text():
         "[Section\N{NO-BREAK SPACE}2.1](#sec-second-part){.ref}",
     ):
         assert link in text
-    assert r"[$$a = b\qquad (1) $$]{#eq-one .equation}" in text
+    assert '[$$a = b$$]{#eq-one .equation number="1"}' in text
     assert "[@mnih2015]" in text, "citations are pandoc's"
 
 
@@ -135,3 +138,38 @@ def test_computed_numbers_get_a_minus_sign_and_names_keep_their_hyphens(made):
     )
     assert "−12.8 (−16.5 to −9.2), 2026-01 seed-1 games 1-500" in result
     assert re.search(r"[`>]-5[`<]", result)  # in code
+
+
+def test_a_notebooks_own_text_reads_in_jupyterlab_and_becomes_the_reports():
+    own = "# Title <!-- {#sec-any .appendix} -->\n\nSee [Figure 7](#fig-one), [a page](#top)."
+    assert crossrefs.from_notebook(own) == (
+        "# Title {#sec-any .appendix}\n\nSee @fig-one, [a page](#top)."
+    )
+    more = "[Section](#sec-any){.more} <!-- a remark -->"
+    assert crossrefs.from_notebook(more) == more, "neither is a reference or a label"
+
+
+def test_the_numbers_of_the_last_report_are_written_into_the_notebooks(tmp_path):
+    names = crossrefs.names(TEXT)
+    assert (names["fig-one"], names["sec-second-part"]) == (
+        "Figure\N{NO-BREAK SPACE}1",
+        "Section\N{NO-BREAK SPACE}2.1",
+    )
+    notebook = tmp_path / "01_any.ipynb"
+    notebook.write_text('"source": ["[Figure 9](#fig-one) and [Table](#tbl-new)"]')
+    assert crossrefs.renumber(notebook, names)
+    assert notebook.read_text() == (
+        '"source": ["[Figure\N{NO-BREAK SPACE}1](#fig-one) and [below](#tbl-new)"]'
+    )
+    assert not crossrefs.renumber(notebook, names)
+
+
+@pytest.mark.parametrize(
+    "path", sorted((ROOT / "notebooks").glob("[0-9]*.ipynb")), ids=lambda path: path.name
+)
+def test_the_notebooks_own_text_has_no_reference_that_jupyterlab_cannot_show(path):
+    for cell in json.loads(path.read_text())["cells"]:
+        if cell["cell_type"] == "markdown":
+            text = "".join(cell["source"])
+            assert not re.search(r"(?<![\w@-])@(fig|vid|tbl|sec|eq)-", text), cell["id"]
+            assert not re.search(r"(?<!<!-- )\{#", text), cell["id"]

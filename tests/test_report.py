@@ -51,6 +51,29 @@ def test_a_snapshot_has_the_styles_of_the_runs(tmp_path):
     assert found.read_text() == "episode\n"
 
 
+def test_text_about_runs_that_have_not_begun_is_left_out_and_an_abstract_is_one(tmp_path):
+    texts = {"What it is.": ["abstract"], "Of its runs.": ["needs:boxing_expert"], "Else.": []}
+    cells = [
+        nbformat.v4.new_markdown_cell(text, metadata={"tags": tags}) for text, tags in texts.items()
+    ]
+    nbformat.write(nbformat.v4.new_notebook(cells=cells), tmp_path / "01_any.ipynb")
+    waiting = build._section(tmp_path / "01_any.ipynb", tmp_path, {"boxing_expert"})
+    begun = build._section(tmp_path / "01_any.ipynb", tmp_path, {"boxing_final"})
+    assert "Of its runs." not in waiting
+    assert "Of its runs." in begun
+    for text in (waiting, begun):
+        assert "::: {.abstract}\nWhat it is.\n:::" in text
+        assert "\nElse.\n" in text
+
+
+def test_an_experiment_has_begun_when_any_of_its_runs_is_stored(tmp_path):
+    everything = set(plan.ORDER)
+    assert build._without_runs("full", tmp_path) == everything
+    run = next(run for run in plan.planned("full", ["boxing_sensitivity"], tmp_path))
+    run.folder.mkdir(parents=True)
+    assert build._without_runs("full", tmp_path) == everything - {"boxing_sensitivity"}
+
+
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.name)
 def test_notebooks_are_stripped_tagged_and_free_of_classes_and_loops(path):
     notebook = nbformat.read(path, as_version=4)

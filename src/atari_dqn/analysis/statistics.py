@@ -28,9 +28,9 @@ def interval(values: np.ndarray) -> tuple[float, float]:
 
 
 def stratified_interval(
-    statistic: Callable[..., float], *groups: np.ndarray
+    statistic: Callable[..., np.ndarray], *groups: np.ndarray
 ) -> tuple[float, float]:
-    """95% bootstrap interval of `statistic(*groups)`, where each group is resampled by itself
+    """95% bootstrap interval of `statistic(*groups, axis)`, where each group is resampled by itself
     (Agarwal et al., 2021): seeds of one agent in one game are never drawn for another's.
 
     With three values per group such an interval is too narrow; `welch_interval` is not.
@@ -38,7 +38,7 @@ def stratified_interval(
     result = stats.bootstrap(
         groups,
         statistic,
-        vectorized=statistic is np.mean,
+        vectorized=True,
         confidence_level=0.95,
         method="percentile",
         rng=np.random.default_rng(0),
@@ -47,15 +47,16 @@ def stratified_interval(
     return float(low), float(high)
 
 
-def iqm(*groups: np.ndarray) -> float:
+def iqm(*groups: np.ndarray, axis: int = -1) -> np.ndarray:
     """Interquartile mean: the mean of the middle half of all values (Agarwal et al., 2021)."""
-    return float(stats.trim_mean(np.concatenate(groups), 0.25))
+    return np.asarray(stats.trim_mean(np.concatenate(groups, axis), 0.25, axis))
 
 
-def probability_of_improvement(one: np.ndarray, other: np.ndarray) -> float:
+def probability_of_improvement(one: np.ndarray, other: np.ndarray, axis: int = -1) -> np.ndarray:
     """How often a value of the first group is above one of the second; a tie counts half."""
-    gaps = np.subtract.outer(one, other)
-    return float(np.mean(gaps > 0) + np.mean(gaps == 0) / 2)
+    one, other = (np.moveaxis(np.asarray(values), axis, -1) for values in (one, other))
+    gaps = one[..., :, None] - other[..., None, :]
+    return np.mean(gaps > 0, (-2, -1)) + np.mean(gaps == 0, (-2, -1)) / 2
 
 
 BLOCK = 50  # training episodes; an agent changes little within them

@@ -176,7 +176,8 @@ def over_seeds(study: Study) -> str:
 def _normalised(section: Section, agent: str) -> np.ndarray:
     """Each seed's final score, where 0 is random play and 1 a human: float64 [seeds]."""
     scores, facts = section.scores(agent, *last_episodes(section)), section.facts
-    return (scores.mean(axis=1) - facts.random) / (facts.human - facts.random)
+    means = scores.mean(axis=1) if scores.size else np.empty(0)
+    return (means - facts.random) / (facts.human - facts.random)
 
 
 def head_start(study: Study, experiment: str, base: str) -> str:
