@@ -14,7 +14,7 @@ RESULTS_OPTION := $(if $(RESULTS),--results $(RESULTS))
 PARAMS_FILE = params/$(if $(filter-out full,$(PROFILE)),$(PROFILE)/)$(EXPERIMENT).yaml
 
 .DEFAULT_GOAL := help
-.PHONY: help report lab test check format train experiments status verify bench lock clean
+.PHONY: help report numbers lab test check format train experiments status verify bench lock clean
 
 help: ## list what can be made
 	@sed -n 's/^\([a-z]*\):[^#]*## \(.*\)/  make \1|\2/p' $(MAKEFILE_LIST) | awk -F'|' '{printf "%-19s %s\n", $$1, $$2}'
@@ -37,6 +37,9 @@ $(READY): environment.lock pyproject.toml
 
 report: $(READY) ## build results/report/index.html and report.pdf from the stored runs
 	$(RUN) atari_dqn report --profile $(PROFILE) $(RESULTS_OPTION)
+
+numbers: $(READY) ## renew the numbers of figures, tables and sections in the notebooks' text
+	$(RUN) atari_dqn.report.crossrefs
 
 lab: $(READY) ## explore in JupyterLab
 	$(VENV)/bin/jupyter lab notebooks

@@ -2,9 +2,9 @@
 
     python benchmarks/breakdown.py
 
-Writes breakdown.csv into results/benchmarks/: part, milliseconds an update, share, and, for what is
-arithmetic, the speed it reaches as a share of the processor's float32 matrix peak: counted are the
-operations of direct convolutions, of which the native learner needs fewer, so that its share may
+Writes breakdown.csv into results/benchmarks/: part, milliseconds per update, share, and, for what
+is arithmetic, the speed it reaches as a share of the processor's float32 matrix peak: counted are
+the operations of direct convolutions, of which the native learner needs fewer, so its share may
 pass 1.
 """
 
@@ -74,7 +74,7 @@ def main() -> None:
     table = pd.DataFrame(
         {
             "part": part,
-            "milliseconds_an_update": round(seconds / updates * 1e3, 3),
+            "milliseconds_per_update": round(seconds / updates * 1e3, 3),
             "share": round(seconds / whole, 3),
             "share_of_peak": (
                 round(arithmetic[part] * updates / seconds / peak, 2) if part in arithmetic else ""

@@ -61,7 +61,7 @@ def fill(game: str, transitions: int) -> list[dict[str, object]]:
                 "game": game,
                 "transitions": number * parameters.environments,
                 "resident_megabytes": round((process.memory_info().rss - before) / 1e6, 1),
-                "bytes_an_image": round(float(memory.frames.size.sum()) / (number * 8), 1),
+                "bytes_per_image": round(float(memory.frames.size.sum()) / (number * 8), 1),
                 "store_ms": round(storing / vector_steps * 1e3, 3),
                 "sample_ms": round(sampling * 1e3, 3),
             }

@@ -1,4 +1,4 @@
-"""Training speed beside the peers': agent steps a second of the whole machine, in one run.
+"""Training speed beside the peers': agent steps per second of the whole machine, in one run.
 
     make bench            or    python benchmarks/throughput.py --peers .venv-bench/bin/python
 
@@ -56,7 +56,7 @@ class Contestant:
 
     @property
     def setup(self) -> str:
-        several = "one process a core" if self.processes > 1 else "one process"
+        several = "one process per core" if self.processes > 1 else "one process"
         return f"{several}, {self.threads} thread{'s' * (self.threads > 1)}"
 
     def measure(self, peers: str, steps: int) -> float:
@@ -176,8 +176,8 @@ def finalists(speeds: dict[Contestant, list[float]]) -> list[Contestant]:
 def table(
     speeds: dict[Contestant, list[float]], rooflines: dict[str, dict[str, float]]
 ) -> pd.DataFrame:
-    """A row a contestant; shares and ratios are of medians. `rooflines`: agent steps a second of a
-    core, by the name of the share's column and by agent."""
+    """A row per contestant; shares and ratios are of medians. `rooflines`: agent steps per second
+    of a core, by the name of the share's column and by agent."""
     medians = {contestant: float(np.median(found)) for contestant, found in speeds.items()}
     rows = []
     for contestant, found in speeds.items():
@@ -241,7 +241,7 @@ def main() -> None:
     machine = {
         "processor": processor(),
         "cores": CORES,
-        "float32_gflops_a_core": round(peak / 1e9, 1),
+        "float32_gflops_per_core": round(peak / 1e9, 1),
         "emulation_ms_an_agent_step": round(emulation * 1e3, 3),
         "megaflop_an_agent_step": {
             name: {agent: round(operations(agent, needed) / 1e6, 1) for agent in agents}

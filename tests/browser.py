@@ -63,12 +63,13 @@ class Browser:
         assert "exceptionDetails" not in result, result["exceptionDetails"]
         return result["result"].get("value")
 
-    def wait(self, condition: str) -> None:
-        """Until an expression is true."""
+    def wait(self, condition: str) -> Any:
+        """The value of an expression, once it is true."""
         end = time.monotonic() + PATIENCE
-        while not self(condition):
+        while not (value := self(condition)):
             assert time.monotonic() < end, condition
             time.sleep(0.02)
+        return value
 
     def move(self, x: float, y: float) -> None:
         self.command("Input.dispatchMouseEvent", type="mouseMoved", x=x, y=y)
@@ -95,8 +96,9 @@ class Browser:
         )
 
     def press(self, key: str) -> None:
+        text = {"Enter": "\r"}.get(key, "")  # by which a button is pressed
         for kind in ("keyDown", "keyUp"):
-            self.command("Input.dispatchKeyEvent", type=kind, key=key, code=key)
+            self.command("Input.dispatchKeyEvent", type=kind, key=key, code=key, text=text)
 
     def picture(self) -> bytes:
         """What the window shows, as a PNG image."""

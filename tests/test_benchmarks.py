@@ -47,14 +47,14 @@ def test_each_librarys_faster_set_up_goes_on_and_ratios_are_to_the_fastest_peer(
     }
     chosen = throughput.finalists(field)
     assert [contestant.setup for contestant in chosen] == [
-        *["one process a core, 1 thread"] * 3,
+        *["one process per core, 1 thread"] * 3,
         "one process, 1 thread",
     ]
     table = throughput.table(
         field,
         {"share_of_direct_roofline": {"dqn": 125.0}, "share_of_needed_roofline": {"dqn": 190.0}},
     ).set_index(["library", "setup"])
-    ours = table.loc[("atari-dqn", "one process a core, 1 thread")]
+    ours = table.loc[("atari-dqn", "one process per core, 1 thread")]
     assert (ours.steps_per_second, ours.low, ours.high, ours.rounds) == (190, 180, 200, 2)
     assert ours.ratio_to_best_peer == 2.0
     assert ours.share_of_direct_roofline == 0.76

@@ -1,6 +1,8 @@
 """Labels, numbers and completeness of the report's text."""
 
+import json
 import re
+from pathlib import Path
 
 import pypandoc
 import pytest
@@ -9,6 +11,7 @@ from atari_dqn.report import crossrefs
 from atari_dqn.report.build import TEMPLATES
 from atari_dqn.runs.files import RunError
 
+ROOT = Path(__file__).parents[1]
 FIGURE = '![A caption.](a.svg){#fig-one alt="A picture of something."}'
 TEXT = f"""
 # First {{#sec-first}}
@@ -120,6 +123,43 @@ def test_what_the_report_does_not_show_fails_and_is_named(tmp_path):
         crossrefs.check_completeness(TEXT, path)
 
 
+PLACE = "[]{#fig-empty .absent} []{#tbl-empty .absent}"
+LISTED = "figures:\n  - {what: a loop, labels: [fig-empty]}\n"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "# One\n\n::: {.badge .partial}\nRuns are missing.\n:::\n\n## Part\n\n" + PLACE,
+        "# One\n\n::: {#fig-empty .absent}\nIt follows after more runs.\n:::\n",
+    ],
+    ids=["a badge says it", "the place says it"],
+)
+def test_an_empty_place_needs_a_reason_and_waits(tmp_path, text):
+    path = tmp_path / "completeness.yaml"
+    path.write_text(LISTED)
+    assert crossrefs.check_completeness(text, path) == (1, 1)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "# One\n\n" + PLACE,
+        "# One\n\n::: {.badge}\nAll runs are complete.\n:::\n\n" + PLACE,
+        "# One\n\n::: {.badge .partial}\nRuns are missing.\n:::\n\n# Two\n\n" + PLACE,
+        "::: {.badge .partial}\nFew.\n:::\n\n::: {.badge}\nAll.\n:::\n\n" + PLACE,
+        "# One\n\n::: {#fig-empty .absent}\n:::\n",
+        "# One\n\n::: {#fig-empty .absent}\n \n:::\n",
+    ],
+    ids=["no badge", "complete runs", "another chapter", "a later badge", "nothing", "a space"],
+)
+def test_an_empty_place_without_a_reason_fails_and_is_named(tmp_path, text):
+    path = tmp_path / "completeness.yaml"
+    path.write_text(LISTED)
+    with pytest.raises(RunError, match=r"figures: a loop \(fig-empty\)"):
+        crossrefs.check_completeness(text, path)
+
+
 @pytest.mark.parametrize("made", ["html5", "typst"])
 def test_computed_numbers_get_a_minus_sign_and_names_keep_their_hyphens(made):
     text = "-12.8 (-16.5 to -9.2), 2026-01 seed-1 games 1-500 `-5`"
@@ -128,3 +168,38 @@ def test_computed_numbers_get_a_minus_sign_and_names_keep_their_hyphens(made):
     )
     assert "−12.8 (−16.5 to −9.2), 2026-01 seed-1 games 1-500" in result
     assert re.search(r"[`>]-5[`<]", result)  # in code
+
+
+def test_a_notebooks_own_text_reads_in_jupyterlab_and_becomes_the_reports():
+    own = "# Title <!-- {#sec-any .appendix} -->\n\nSee [Figure 7](#fig-one), [a page](#top)."
+    assert crossrefs.from_notebook(own) == (
+        "# Title {#sec-any .appendix}\n\nSee @fig-one, [a page](#top)."
+    )
+    more = "[Section](#sec-any){.more} <!-- a remark -->"
+    assert crossrefs.from_notebook(more) == more, "neither is a reference or a label"
+
+
+def test_the_numbers_of_the_last_report_are_written_into_the_notebooks(tmp_path):
+    names = crossrefs.names(TEXT)
+    assert (names["fig-one"], names["sec-second-part"]) == (
+        "Figure\N{NO-BREAK SPACE}1",
+        "Section\N{NO-BREAK SPACE}2.1",
+    )
+    notebook = tmp_path / "01_any.ipynb"
+    notebook.write_text('"source": ["[Figure 9](#fig-one) and [Table](#tbl-new)"]')
+    assert crossrefs.renumber(notebook, names)
+    assert notebook.read_text() == (
+        '"source": ["[Figure\N{NO-BREAK SPACE}1](#fig-one) and [below](#tbl-new)"]'
+    )
+    assert not crossrefs.renumber(notebook, names)
+
+
+@pytest.mark.parametrize(
+    "path", sorted((ROOT / "notebooks").glob("[0-9]*.ipynb")), ids=lambda path: path.name
+)
+def test_the_notebooks_own_text_has_no_reference_that_jupyterlab_cannot_show(path):
+    for cell in json.loads(path.read_text())["cells"]:
+        if cell["cell_type"] == "markdown":
+            text = "".join(cell["source"])
+            assert not re.search(r"(?<![\w@-])@(fig|vid|tbl|sec|eq)-", text), cell["id"]
+            assert not re.search(r"(?<!<!-- )\{#", text), cell["id"]

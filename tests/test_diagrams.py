@@ -168,6 +168,23 @@ def test_a_dueling_network_has_two_streams():
 
 
 @pytest.mark.parametrize("agent", AGENTS)
+def test_a_layers_output_is_written_beside_the_arrow_that_it_takes(agent):
+    figure = diagrams.layers(agent)
+    arrows = np.concatenate([points_of(path) for path in paths_of(figure, FancyArrowPatch)])
+    outputs = [
+        place
+        for text, place in texts_of(figure)
+        if re.fullmatch(r"\d+ × \d+ × \d+(, .* values)?|\d+ values?", text)
+    ]
+    assert len(outputs) >= 6
+    for place in outputs:
+        height = (place.y0 + place.y1) / 2
+        level = arrows[np.abs(arrows[:, 1] - height) < place.height / 2]
+        nearest = level[np.argmin(np.abs(level[:, 0] - place.x0)), 0]
+        assert 0 < place.x0 - nearest < place.height
+
+
+@pytest.mark.parametrize("agent", AGENTS)
 def test_layers_are_drawn_with_their_real_numbers(agent):
     written = [text for text, _ in texts_of(diagrams.layers(agent))]
     for shape in ("84 × 84 × 4", "20 × 20 × 32", "9 × 9 × 64"):

@@ -48,7 +48,7 @@ def test_a_whole_boxing_game_has_the_score_and_the_end_that_gymnasium_sees():
         total += reward
         assert game.step(action)[2] == ended
     assert game.score == total
-    assert 1700 < game.length < 1800  # two minutes, four frames a step
+    assert 1700 < game.length < 1800  # two minutes, four frames per step
 
 
 def test_breakout_is_served_at_the_start_and_after_every_lost_life_and_else_untouched():

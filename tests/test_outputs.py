@@ -30,12 +30,13 @@ def test_a_figure_has_its_caption_in_jupyter_and_once_in_the_report(monkeypatch)
     monkeypatch.setattr(
         outputs, "display", lambda what, metadata: shown.append(SimpleNamespace(**locals()))
     )
+    monkeypatch.setattr(outputs, "_names", lambda: {"fig-any": "Figure 7"})
     figure = plt.figure()
     outputs.show_figure(figure, "fig-any", "Scores [@mnih2015].", "A picture of nothing at all.")
     drawn, below = shown
     assert drawn.what is figure
     assert drawn.metadata["image/svg+xml"]["caption"] == "Scores [@mnih2015]."
-    assert below.what.data == "*Scores (mnih2015).*"
+    assert below.what.data == "*Figure 7. Scores (mnih2015).*"
     assert below.metadata["text/markdown"]["report"] == ""
 
 

@@ -223,9 +223,7 @@ def test_a_reference_to_a_section_shows_its_title_and_first_sentence(show):
     page.hover("a.ref[href='#sec-rules']")
     title, sentence = page("[...tip.querySelectorAll('p')].map((one) => one.innerText)")
     assert title.split() == ["2", "Rules"]
-    assert sentence.replace("\N{NO-BREAK SPACE}", " ") == (
-        "With γ near 1 the agent is patient, e.g. in Boxing."
-    )
+    assert " ".join(sentence.split()) == "With γ near 1 the agent is patient, e.g. in Boxing."
     page.hover("a.ref[href='#sec-more']")
     assert page("tip.querySelector('p').innerText").split() == ["A", "More"]
 
@@ -248,8 +246,10 @@ def test_the_light_box_shows_a_whole_figure_and_a_button_that_closes_it(show, wi
     page = show(width=width, dark=dark)
     page(f"document.querySelector('#{name} img').click()")
     page.wait("lighted.complete")
-    box = page("lighted.getBoundingClientRect().toJSON()")
-    left, top, right, bottom = (box[side] for side in ("left", "top", "right", "bottom"))
+    left, top, right, bottom = page(
+        "(({ left, top, right, bottom }) => [left, top, right, bottom])"
+        "(lighted.getBoundingClientRect())"
+    )
     assert left >= 0
     assert top >= 0
     assert right <= width
@@ -476,14 +476,13 @@ def test_appendices_are_lettered_in_both_media(made, html):
         "query(heading).map(h => if h.numbering == none { none } else "
         "{ numbering(h.numbering, ..counter(heading).at(h.location())) })",
     )
-    assert numbers == [None, "1", "2", "A", "A.1", None], "the contents, ..., the references"
+    assert numbers == [None, "1", "2", "A", "A.1", None]  # the first is that of the contents
     assert re.findall(r'<h[12][^>]*data-number="([^"]+)"', html) == ["1", "2", "A", "A.1"]
     assert "Appendix\N{NO-BREAK SPACE}A</a>" in html
 
 
 def test_a_long_table_goes_on_over_pages_under_its_header(made):
-    first = asked(made, "repr(query(<tbl-long>).first().body.body.children.first().func())")
-    assert first == "header", "which Typst repeats"
+    assert "table.header(" in (made / "report.typ").read_text(encoding="utf-8")
     pages = asked(made, "(locate(<tbl-long>).page(), locate(<sec-more>).page())")
     assert pages[1] > pages[0]
 

@@ -1,8 +1,10 @@
 """What the figures' axes hold: every curve its own numbers, in its own unit, under its own name."""
 
+import cv2
 import numpy as np
 import pandas as pd
 import pytest
+from matplotlib import pyplot as plt
 from synthetic import AGENTS, TITLES, check, evaluate, lines_of, named_lines, numbers, store, study
 
 from atari_dqn.analysis.study import Section
@@ -30,22 +32,36 @@ def panels(tmp_path, shown):
 
 
 def curves(axes, agent):
-    colour = plots.COLOURS[agent]
+    return [(line.get_xdata(), line.get_ydata()) for line in drawn(axes, agent)]
+
+
+def drawn(axes, agent):
+    """The curves in an agent's colour."""
+    colour = plots.STYLES[agent].colour
     return [
-        (line.get_xdata(), line.get_ydata())
+        line
         for line in axes.get_lines()
-        if len(line.get_xdata()) > 2 and line.get_color() == colour
+        if len(line.get_xdata()) > 2 and line.get_color() == colour and line.get_marker() == "None"
     ]
+
+
+def marks(axes, which=""):
+    """{name: (xs, ys)} of the points that stand alone."""
+    return {
+        line.get_label(): (list(line.get_xdata()), list(line.get_ydata()))
+        for line in axes.get_lines()
+        if line.get_linestyle() == "None" and which in line.get_label()
+    }
 
 
 @pytest.mark.parametrize(
     ("unit", "a_game"),
-    [("games played", 1), ("million frames", 0.02), ("hours by the clock", 0.01)],
+    [("training episodes", 1), ("million frames", 0.02), ("hours of processor time", 0.01 / 9)],
 )
 def test_every_seed_has_its_own_curve_against_each_unit(panels, unit, a_game):
-    drawn = curves(panels[unit], DQN)
-    assert len(drawn) == (3 if unit == "games played" else 2)
-    for (xs, ys), times in zip(drawn[:2], (0.1, 0.3), strict=True):
+    found = curves(panels[unit], DQN)
+    assert len(found) == (3 if unit == "training episodes" else 2)
+    for (xs, ys), times in zip(found[:2], (0.1, 0.3), strict=True):
         assert xs == pytest.approx(SHOWN * a_game)
         assert ys == pytest.approx(slope(times))
     (xs, ys), *_ = curves(panels[unit], DOUBLE)
@@ -54,13 +70,83 @@ def test_every_seed_has_its_own_curve_against_each_unit(panels, unit, a_game):
 
 
 def test_the_bold_curve_is_the_mean_of_an_agents_seeds(panels):
-    *_, (xs, ys) = curves(panels["games played"], DQN)
+    *_, (xs, ys) = curves(panels["training episodes"], DQN)
     assert xs == pytest.approx(SHOWN)
     assert ys == pytest.approx(slope(0.2))
 
 
+def test_the_main_panel_is_the_largest_and_its_means_stand_out(panels):
+    heights = {name: axes.get_position().height for name, axes in panels.items()}
+    assert heights.pop("training episodes") > 2 * max(heights.values())
+    main, *lower = panels.values()
+    *seeds, mean = drawn(main, DQN)
+    assert all(mean.get_linewidth() > 2 * seed.get_linewidth() for seed in seeds)
+    for axes in lower:
+        assert all(mean.get_linewidth() > line.get_linewidth() for line in drawn(axes, DQN))
+
+
+@pytest.mark.parametrize("seeds", [2, 3])
+def test_a_band_over_seeds_needs_three_of_them(tmp_path, shown, seeds):
+    offsets = np.arange(seeds) - np.mean(range(seeds))  # points
+    for seed, offset in enumerate(offsets, start=1):
+        store(tmp_path, "boxing_final", DQN, np.full(200, 10 + offset), seed=seed)
+    numbered = list(range(1, seeds + 1))
+    results.show_curves(Section("boxing_final", "full", str(tmp_path), [DQN], numbered))
+    label = "fig-boxing-final-curves"
+    bands = shown.figures[label].axes[0].collections
+    assert len(bands) == (seeds == 3)
+    assert ("bold" in shown.captions[label]) == (seeds == 3)
+    if bands:
+        heights = bands[0].get_paths()[0].vertices[:, 1]
+        half = 4.3027 * 1 / 3**0.5  # Student's t of two degrees of freedom; three means 1 apart
+        assert (heights.min(), heights.max()) == pytest.approx((10 - half, 10 + half), abs=1e-3)
+
+
+def test_an_agent_has_one_look_and_no_other_thing_has_its_colour(panels):
+    for agent in (DQN, DOUBLE):
+        lines = [line for axes in panels.values() for line in drawn(axes, agent)]
+        assert len({line.is_dashed() for line in lines}) == 1
+    looks = plots.STYLES.values()
+    assert len({look.colour for look in looks}) == len({look.line for look in looks}) == len(looks)
+    for count in (2, 3, 5):
+        shades = plots.shades(count)
+        assert len(set(shades)) == count
+        assert not set(shades) & {look.colour for look in looks}
+
+
+def test_the_source_reports_scores_are_hollow_points_in_their_agents_colour(tmp_path, shown):
+    """As far as the curves reach and a third further: the marks are every 500 episodes."""
+    store(tmp_path, "boxing_final", DOUBLE, 0.1 * np.arange(1, 781))
+    store(tmp_path, "boxing_final", DQN, 0.1 * GAMES)
+    label = "fig-boxing-final-curves"
+    results.show_curves(Section("boxing_final", "full", str(tmp_path), [DQN, DOUBLE]))
+    main, *lower = shown.figures[label].axes
+    assert marks(main) == {
+        "DQN, source report": ([500, 1000], [10.61, 51.62]),
+        "Double DQN, source report": ([500, 1000], [28.99, 80.19]),
+    }
+    for line in main.get_lines():
+        if line.get_linestyle() == "None":
+            assert line.get_markerfacecolor() == "white"
+            agent = DOUBLE if "Double" in line.get_label() else DQN
+            assert line.get_color() == plots.STYLES[agent].colour
+    assert not any(marks(axes, "source") for axes in lower)
+    assert "source report's means of the last 500 episodes" in shown.captions[label]
+    assert "source report" in [text.get_text() for text in main.get_legend().get_texts()]
+
+
+def test_an_experiment_of_another_length_has_no_marks_of_the_source_report(tmp_path, shown):
+    stored = study(tmp_path)
+    assert results.source_points(stored["boxing_low_gamma"]).empty
+    found = results.source_points(stored["breakout_late"]).dropna()
+    assert found.values.tolist() == [[DQN, 3000, 26.32]]
+    store(tmp_path, "boxing_low_gamma", DUELING, np.zeros(900))
+    results.show_curves(stored["boxing_low_gamma"])
+    assert "source" not in shown.captions["fig-boxing-low-gamma-curves"]
+
+
 def test_curves_are_named_after_their_agents_and_the_axis_after_its_window(panels):
-    axes = panels["games played"]
+    axes = panels["training episodes"]
     named = named_lines(axes)
     assert list(named) == ["DQN", "Double DQN"]
     assert named["Double DQN"][0][1] == pytest.approx(slope(0.5))
@@ -70,37 +156,17 @@ def test_curves_are_named_after_their_agents_and_the_axis_after_its_window(panel
 def test_human_and_random_lines_lie_at_their_scores_and_are_named(panels):
     for axes in panels.values():
         assert [ys for _, ys in lines_of(axes, ":")] == [[12.1, 12.1], [0.1, 0.1]]
-    notes = {note.get_text(): note.xy[1] for note in panels["games played"].texts}
+    notes = {note.get_text(): note.xy[1] for note in panels["training episodes"].texts}
     assert notes == {"human 12.1": 12.1, "random play 0.1": 0.1}
 
 
 def test_published_scores_stand_at_their_frames_as_far_as_ours_reach(panels):
     """Ours reach four million frames; the marks are at 5, 10 and 21."""
-    marks = {
-        line.get_label(): (list(line.get_xdata()), list(line.get_ydata()))
-        for line in panels["million frames"].get_lines()
-        if line.get_label().endswith("published")
+    assert marks(panels["million frames"]) == {
+        "DQN, Dopamine": ([5], [2.6]),
+        "DQN, Adam, Dopamine": ([5], [24.0]),
+        "Rainbow, Dopamine": ([5], [18.0]),
     }
-    assert marks == {
-        "DQN, published": ([5], [2.6]),
-        "DQN, Adam, published": ([5], [24.0]),
-        "Rainbow, published": ([5], [18.0]),
-    }
-
-
-def test_the_values_under_the_pointer_are_those_of_the_curves(tmp_path, shown, panels):
-    hover = shown.hovers["fig-boxing-final-curves"]
-    first, second = hover["curves"]
-    assert (first["name"], second["name"]) == ("DQN", "Double DQN")
-    assert first["xs"] == SHOWN.tolist()
-    assert first["ys"] == pytest.approx(slope(0.2), abs=0.006)
-    assert second["ys"] == pytest.approx(slope(0.5), abs=0.006)
-    axes = panels["games played"]
-    place = hover["axes"]
-    assert (place["x_min"], place["x_max"]) == pytest.approx(axes.get_xlim(), abs=1e-3)
-    assert (place["left"], place["width"]) == pytest.approx(
-        (axes.get_position().x0, axes.get_position().width), abs=1e-3
-    )
 
 
 def test_of_seeds_that_have_come_less_far_the_mean_ends_where_one_ends(tmp_path, shown):
@@ -127,7 +193,7 @@ def test_curves_of_breakout_have_breakouts_references(tmp_path, shown):
     label = "fig-breakout-final-curves"
     for axes in shown.figures[label].axes:
         assert [ys[0] for _, ys in lines_of(axes, ":")] == [30.5, 1.7]
-    assert numbers(shown.captions[label])[:2] == [100, 1]  # games a point; seeds an agent
+    assert numbers(shown.captions[label])[:2] == [100, 1]  # episodes per point; seeds
     assert "Breakout" in shown.captions[label]
 
 
@@ -169,20 +235,38 @@ def test_predicted_realised_and_held_out_values_are_told_apart_by_their_lines(tm
     results.show_values(study(tmp_path)["boxing_final"])
     panels = shown.figures["fig-boxing-final-values"].axes
     assert [axes.get_title(loc="left") for axes in panels] == list(TITLES.values())
-    for place, axes in enumerate(panels):
+    for place, (axes, agent) in enumerate(zip(panels, AGENTS, strict=True)):
         base = 10.0 * place + np.array([1.0, 2.0, 4.0])
-        for style, expected in (("-", base), ("--", base + 0.5), (":", base - 0.5)):
-            ((xs, ys),) = lines_of(axes, style)
-            assert xs == [100, 200, 300]
+        lines = {line.get_label(): line for line in axes.get_lines()}
+        for name, expected in (
+            ("predicted", base),
+            ("realised", base + 0.5),
+            ("held-out states", base - 0.5),
+        ):
+            xs, ys = lines[name].get_data()
+            assert list(xs) == [100, 200, 300]
             assert ys == pytest.approx(expected)
-        assert axes.get_xlabel() == "games played"
+        colour = plots.STYLES[agent].colour
+        assert lines["predicted"].get_color() == lines["held-out states"].get_color() == colour
+        looks = {(line.get_marker(), str(line.get_markerfacecolor())) for line in lines.values()}
+        assert len(looks) == 3
+        assert axes.get_xlabel() == "training episodes"
     caption = shown.captions["fig-boxing-final-values"]
-    assert (
-        caption.index("predicts") < caption.index("solid") < caption.index("return that followed")
-    )
-    assert caption.index("return that followed") < caption.index("dashed")
-    assert "prediction lies above what followed, the network overestimates" in caption
+    told = ["predicts", "(dots)", "return that followed", "(grey circles)", "overestimates"]
+    assert sorted(told, key=caption.index) == told
     assert numbers(caption)[:4] == [20, 100, 20, 512]
+
+
+def test_overestimation_is_shaded_and_underestimation_is_not(tmp_path, shown):
+    for agent, realised in ((DQN, 1.0), (DOUBLE, 3.0)):
+        run = store(tmp_path, "boxing_final", agent, np.zeros(300))
+        check(run, np.zeros(3), predicted=np.full(3, 2.0), realised=np.full(3, realised))
+    results.show_values(study(tmp_path)["boxing_final"])
+    over, under = shown.figures["fig-boxing-final-values"].axes
+    (shade,) = over.collections
+    heights = np.concatenate([path.vertices[:, 1] for path in shade.get_paths()])
+    assert (heights.min(), heights.max()) == (1.0, 2.0)
+    assert not any(len(path.vertices) for band in under.collections for path in band.get_paths())
 
 
 def test_evaluation_scores_stand_beside_their_agent(tmp_path, shown):
@@ -193,12 +277,42 @@ def test_evaluation_scores_stand_beside_their_agent(tmp_path, shown):
     results.show_evaluations(study(tmp_path)["boxing_final"])
     (axes,) = shown.figures["fig-boxing-final-evaluation"].axes
     assert [tick.get_text() for tick in axes.get_yticklabels()] == ["DQN", "Dueling Double DQN"]
-    points = np.concatenate([dots.get_offsets() for dots in axes.collections])
-    assert len(points) == 80
-    for place, mean in ((0, 10.0), (1, 30.0)):
-        own = points[np.round(points[:, 1]) == place]
-        assert own[:, 0].mean() == pytest.approx(mean)
-    assert numbers(shown.captions["fig-boxing-final-evaluation"]) == [40, 0.1]  # games; % random
+    dots, means, spans = [], {}, {}
+    for line in axes.get_lines():
+        xs, ys = (np.asarray(values, float) for values in line.get_data())
+        place = round(float(np.mean(ys)))
+        if line.get_marker() == "o":
+            dots.append((place, xs, line.get_color()))
+        elif line.get_marker() == "D":
+            means[place] = xs.item()
+        elif line.get_linestyle() == "-":
+            spans[place] = xs
+    assert [(place, len(xs), colour) for place, xs, colour in dots] == [
+        (0, 40, plots.STYLES[DQN].colour),
+        (1, 40, plots.STYLES[DUELING].colour),
+    ]
+    assert [xs.mean() for _, xs, _ in dots] == pytest.approx([10.0, 30.0])
+    assert means == pytest.approx({0: 10.0, 1: 30.0})
+    for place, (low, high) in spans.items():
+        # of 40 values evenly spread over two points
+        assert high - low == pytest.approx(2 * 1.96 * 2 / 12**0.5 / 40**0.5, abs=0.06)
+        assert low < means[place] < high
+    assert len(spans) == 2
+    assert {"10.0", "30.0", "human 12.1", "random play 0.1"} == {
+        note.get_text() for note in axes.texts
+    }
+    assert numbers(shown.captions["fig-boxing-final-evaluation"])[:2] == [40, 0.1]
+
+
+def test_each_run_of_an_agent_has_its_own_mean(tmp_path, shown):
+    for seed, mean in ((1, 10.0), (2, 50.0)):
+        evaluate(store(tmp_path, "boxing_final", DQN, np.zeros(300), seed=seed), score=mean)
+    results.show_evaluations(Section("boxing_final", "full", str(tmp_path), [DQN], [1, 2]))
+    (axes,) = shown.figures["fig-boxing-final-evaluation"].axes
+    found = [line.get_data() for line in axes.get_lines() if line.get_marker() == "D"]
+    assert [xs.item() for xs, _ in map(np.asarray, found)] == pytest.approx([10.0, 50.0])
+    heights = [float(np.asarray(ys).item()) for _, ys in found]
+    assert abs(heights[0] - heights[1]) > 0.2
 
 
 def test_smoothing_never_mixes_seeds_agents_or_variations():
@@ -210,3 +324,23 @@ def test_smoothing_never_mixes_seeds_agents_or_variations():
     smooth = plots.smoothed(table, 2)
     assert sorted(smooth.episode.unique()) == [2, 3]
     assert (smooth["mean"] == smooth.variation + smooth.agent + smooth.seed).all()
+
+
+def test_preprocessing_is_drawn_with_the_pictures_of_one_real_step():
+    """The grey image is the greater of the last two frames, resized; the stack ends with it."""
+    figure = plots.preprocessing(["boxing"])
+    shown = [axes.get_images()[0].get_array() for axes in figure.axes if axes.get_images()]
+    third, fourth, greatest, small, *stack = shown
+    assert [one.shape for one in (third, fourth, greatest)] == [(210, 160, 3)] * 2 + [(210, 160)]
+    assert (third != fourth).any(), "two different frames"
+    grey = [cv2.cvtColor(one.data, cv2.COLOR_RGB2GRAY).astype(int) for one in (third, fourth)]
+    assert np.abs(np.maximum(*grey) - greatest.astype(int)).mean() < 1
+    resized = cv2.resize(greatest.data, (84, 84), interpolation=cv2.INTER_AREA)
+    assert (small == resized).all()
+    assert len(stack) == 4
+    assert (stack[-1] == small).all()
+    assert (stack[0] != small).any()
+    written = " ".join(text.get_text() for axes in figure.axes for text in axes.texts)
+    for word in ("maximum", "resize", "stack", "clipped", "Boxing"):
+        assert word in written
+    plt.close(figure)

@@ -43,6 +43,37 @@ def test_a_snapshot_stays_as_it_was_while_training_goes_on(tmp_path, monkeypatch
         (folder / "model.safetensors").write_text("before")
 
 
+def test_a_snapshot_has_the_styles_of_the_runs(tmp_path):
+    styles = tmp_path / "styles" / "any" / "dqn" / "seed-1.csv"
+    styles.parent.mkdir(parents=True)
+    styles.write_text("episode\n")
+    found = build._snapshot(tmp_path) / styles.relative_to(tmp_path)
+    assert found.read_text() == "episode\n"
+
+
+def test_text_about_runs_that_have_not_begun_is_left_out_and_an_abstract_is_one(tmp_path):
+    texts = {"What it is.": ["abstract"], "Of its runs.": ["needs:boxing_expert"], "Else.": []}
+    cells = [
+        nbformat.v4.new_markdown_cell(text, metadata={"tags": tags}) for text, tags in texts.items()
+    ]
+    nbformat.write(nbformat.v4.new_notebook(cells=cells), tmp_path / "01_any.ipynb")
+    waiting = build._section(tmp_path / "01_any.ipynb", tmp_path, {"boxing_expert"})
+    begun = build._section(tmp_path / "01_any.ipynb", tmp_path, {"boxing_final"})
+    assert "Of its runs." not in waiting
+    assert "Of its runs." in begun
+    for text in (waiting, begun):
+        assert "::: {.abstract}\nWhat it is.\n:::" in text
+        assert "\nElse.\n" in text
+
+
+def test_an_experiment_has_begun_when_any_of_its_runs_is_stored(tmp_path):
+    everything = set(plan.ORDER)
+    assert build._without_runs("full", tmp_path) == everything
+    run = next(run for run in plan.planned("full", ["boxing_sensitivity"], tmp_path))
+    run.folder.mkdir(parents=True)
+    assert build._without_runs("full", tmp_path) == everything - {"boxing_sensitivity"}
+
+
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.name)
 def test_notebooks_are_stripped_tagged_and_free_of_classes_and_loops(path):
     notebook = nbformat.read(path, as_version=4)
@@ -146,11 +177,12 @@ def test_the_exploring_notebook_plays_a_stored_agent(built, tmp_path):
 def test_figures_say_where_they_come_from_and_curves_show_their_values(built):
     html = (built / "index.html").read_text()
     assert html.count('class="origin"') >= html.count("<figure")
-    hovers = re.findall(r'<script type="application/json" class="hover"[^>]*>(.*?)</script>', html)
-    assert hovers
-    for hover in map(json.loads, hovers):
-        assert 0 < hover["axes"]["left"] < hover["axes"]["left"] + hover["axes"]["width"] <= 1
-        assert all(len(curve["xs"]) == len(curve["ys"]) for curve in hover["curves"])
+    found = re.findall(r'<script type="application/json" class="curves"[^>]*>(.*?)</script>', html)
+    assert found
+    for panel in (panel for curves in map(json.loads, found) for panel in curves["panels"]):
+        assert 0 < panel["left"] < panel["left"] + panel["width"] <= 1
+        assert 0 < panel["top"] < panel["top"] + panel["height"] <= 1
+        assert panel["artists"]
 
 
 def test_rendering_again_gives_the_same_bytes(built):

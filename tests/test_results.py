@@ -5,11 +5,11 @@ import shutil
 import numpy as np
 import pandas as pd
 import pytest
-from synthetic import AGENTS, check, evaluate, numbers, store, study, window, windows
+from synthetic import AGENTS, check, evaluate, numbers, store, study, style, window, windows
 
 from atari_dqn import params
 from atari_dqn.analysis.study import Section
-from atari_dqn.report import notebook, outputs, results
+from atari_dqn.report import notebook, outputs, plots, results
 from atari_dqn.runs import plan, recorder
 from atari_dqn.runs.files import project_root
 
@@ -153,11 +153,14 @@ def test_a_sweep_has_a_row_a_variation_beside_the_same_games_of_the_unchanged_se
     for row in rows:
         low, high = numbers(row["95% interval"])
         assert low < float(row[mean]) < high
-    (axes,) = shown.figures["fig-boxing-sensitivity-curves"].axes
-    names = [text.get_text() for text in axes.get_legend().get_texts()]
-    assert names == [name for name, *_ in found]
-    ends = [line.get_xdata()[-1] for line in axes.get_lines() if len(line.get_xdata()) > 2]
-    assert ends == [500, 500, 200, 500]
+    _, *changed = found
+    panels = [one for one in shown.figures["fig-boxing-sensitivity-curves"].axes if one.lines]
+    assert [axes.get_title(loc="left") for axes in panels] == [name for name, *_ in changed]
+    for axes, (_, games, *_) in zip(panels, changed, strict=True):
+        unchanged, change = axes.get_lines()
+        assert unchanged.get_color() == plots.STYLES[DUELING].colour != change.get_color()
+        assert unchanged.get_linewidth() > change.get_linewidth()
+        assert [line.get_xdata()[-1] for line in (unchanged, change)] == [500, int(games)]
     assert numbers(shown.captions["fig-boxing-sensitivity-curves"])[0] == 16
 
 
@@ -178,60 +181,77 @@ def test_any_game_of_the_emulator_goes_from_its_file_to_a_curve(tmp_path, monkey
     assert figures["fig-pong-curves"].startswith("Pong, `pong`: raw score while training")
 
 
-def test_transfer_is_measured_over_the_games_that_both_runs_have(tmp_path, shown):
+def test_transfer_is_measured_over_the_episodes_that_both_runs_have(tmp_path, shown):
     scratch = store(tmp_path, "boxing_final", DQN, np.full(1200, 10.0))
     moved = store(tmp_path, "boxing_transfer", DQN, np.full(900, 15.0))
     for run, score in ((scratch, 2.0), (moved, 12.0)):
-        check(run, np.array([score, *[99.0 * score] * 8]))
-    store(tmp_path, "boxing_final", DOUBLE, window(685, 850, 20.0, 0.0))
-    store(tmp_path, "boxing_transfer", DOUBLE, window(685, 850, -4.0, 0.0, after=0))
+        check(run, np.array([*[score] * 5, *[99.0 * score] * 4]))
+    last = {(685, 850): 20.0}
+    store(tmp_path, "boxing_final", DOUBLE, windows({(1, 500): 7.0, **last}, 0.0))
+    last = {(685, 850): -4.0}
+    store(tmp_path, "boxing_transfer", DOUBLE, windows({(1, 500): 4.0, **last}, 0.0, after=0))
+    store(tmp_path, "boxing_final", DUELING, np.zeros(900))
+    store(tmp_path, "boxing_transfer", DUELING, np.zeros(499))
     stored = study(tmp_path)
     results.show_transfer(stored["boxing_transfer"], stored["boxing_final"])
     first, second = shown.tables["tbl-transfer"]
-    assert list(first.values()) == ["DQN", "900", "10.00", f"{5 / 110:.2f}", "5.00"]
-    area = -24 * 166 / (850 * 100 + 20 * 166)
-    assert list(second.values()) == ["Double DQN", "850", "–", f"{area:.2f}", "-24.00"]
-    # greedy games a check, of which games; the scores' lowest; of which games
-    assert numbers(shown.captions["tbl-transfer"]) == [20, 166, -100, 166]
+    area = f"{5 / 110:.2f}"
+    assert list(first.values()) == ["DQN", "900", "5.00", "10.00", area, "5.00"]
+    area = f"{(-24 * 166 - 3 * 500) / (850 * 100 + 20 * 166 + 7 * 500):.2f}"
+    assert list(second.values()) == ["Double DQN", "850", "-3.00", "–", area, "-24.00"]
+    # of which episodes, as in the claim; greedy ones per check; of which last ones; the lowest
+    assert numbers(shown.captions["tbl-transfer"]) == [500, 20, 166, -100]
 
 
 def test_seeds_weigh_alike_in_what_transfer_is_worth(tmp_path, shown):
     for seed, mean in ((1, 10.0), (2, 30.0)):
-        store(tmp_path, "boxing_final", DQN, np.full(400, 0.0), seed=seed)
-        store(tmp_path, "boxing_transfer", DQN, np.full(250 + 50 * seed, mean), seed=seed)
+        store(tmp_path, "boxing_final", DQN, np.full(700, 0.0), seed=seed)
+        store(tmp_path, "boxing_transfer", DQN, np.full(550 + 50 * seed, mean), seed=seed)
     pair = [
         Section(name, "full", str(tmp_path), [DQN], [1, 2])
         for name in ("boxing_transfer", "boxing_final")
     ]
     results.show_transfer(*pair)
     (row,) = shown.tables["tbl-transfer"]
-    assert (row["games"], row["area ratio"], row["at the end"]) == ("300", "0.20", "20.00")
+    assert (row["episodes"], row["area ratio"], row["at the end"]) == ("600", "0.20", "20.00")
 
 
-def test_play_styles_are_points_a_minute_and_the_boxers_distance_by_run_and_discount(
-    tmp_path, shown
-):
-    low = store(tmp_path, "boxing_low_gamma", DUELING, np.zeros(10))
-    evaluate(low, scored=30.0, conceded=10.0, distance=25.0, frames=3600)  # a minute
-    final = store(tmp_path, "boxing_final", DQN, np.zeros(10))
-    evaluate(final, trained=700, scored=90.0, conceded=50.0, distance=35.0)  # two minutes
-    evaluate(final, add=True, trained=700, scored=1.0, conceded=1.0, distance=1.0, difficulty=2)
-    evaluate(final, add=True, trained=100, scored=1.0, conceded=1.0, distance=1.0)
+def test_play_styles_are_rows_of_the_same_training_the_lowest_discount_first(tmp_path, shown):
+    final = store(tmp_path, "boxing_final", DUELING, np.zeros(1200))
+    style(final, np.r_[np.full(5, 10.0), np.full(5, 30.0), 50.0, 50.0], conceded=20.0, reach=0.25)
     stored = study(tmp_path)
-    results.show_playstyle([stored["boxing_low_gamma"], stored["boxing_final"]], "tbl-playstyle")
-    rows = shown.tables["tbl-playstyle"]
-    assert [list(row.values())[:4] for row in rows] == [
-        ["0.9", "Dueling Double DQN", "1", "1000"],
-        ["0.99", "DQN", "1", "700"],
+    played = [stored["boxing_final"], stored["boxing_low_gamma"]]
+    results.show_playstyle(played, "tbl-playstyle")
+    assert "tbl-playstyle" not in shown.tables, "one discount is no comparison"
+    assert "#tbl-playstyle .absent" in shown.texts[-1]
+    low = store(tmp_path, "boxing_low_gamma", DUELING, np.zeros(1000))
+    style(low, np.full(10, -5.0), scored=30.0, conceded=60.0, punches=50, distance=25.0)
+    stored = study(tmp_path)
+    results.show_playstyle([stored["boxing_final"], stored["boxing_low_gamma"]], "tbl-playstyle")
+    rows = [list(row.values()) for row in shown.tables["tbl-playstyle"]]
+    reckless = ["-5.0", "15.0", "30.0", "25.0", "25.0", "50%"]  # counts per minute, of two
+    careful = ["15.0", "10.0", "30.0", "40.0", "25%"]
+    assert rows == [
+        ["1 to 500", "0.9", *reckless],
+        ["1 to 500", "0.99", "10.0", *careful],
+        ["501 to 1,000", "0.9", *reckless],
+        ["501 to 1,000", "0.99", "30.0", *careful],
+        ["1,001 to 1,500", "0.99", "50.0", *careful],
     ]
-    columns = ("points scored", "points conceded", "distance (pixels)")
-    found = [[numbers(row[name]) for name in columns] for row in rows]
-    assert [[mean for mean, *_ in row] for row in found] == [[30, 10, 25], [45, 25, 35]]
-    for row in found:
-        for mean, low, high in row:
-            assert low < mean < high
-            assert high - low < 0.5
-    assert "points a minute" in shown.captions["tbl-playstyle"]
+    assert "per minute" in shown.captions["tbl-playstyle"]
+
+
+def test_an_empty_place_gives_a_reason_where_no_badge_does(tmp_path, shown):
+    store(tmp_path, "boxing_final", DQN, np.zeros(3000))
+    stored = study(tmp_path)
+    results.show_values(stored["boxing_final"])
+    results.show_discounts([stored["boxing_final"]], DUELING, "fig-discounts")
+    reasons = [text.splitlines()[1] for text in shown.texts]
+    assert [text.split("{#")[1].split(" ")[0] for text in shown.texts] == [
+        "fig-boxing-final-values",
+        "fig-discounts",
+    ]
+    assert all(len(reason) > 20 for reason in reasons)
 
 
 def test_one_condition_alone_is_no_comparison(tmp_path, shown):

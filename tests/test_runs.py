@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pandas as pd
 import pytest
@@ -22,6 +23,7 @@ from atari_dqn.runs.models import load_model
 from atari_dqn.runs.run import Run
 from atari_dqn.training import Episode, Trainer
 
+ROOT = Path(__file__).parents[1]
 FILES = {
     *(
         "params.yaml",
@@ -486,3 +488,17 @@ def test_a_transfer_run_starts_from_the_finished_model_it_names(tmp_path, small)
     recorder.train(Run(small(episodes=1), tmp_path))
     recorder.train(run)
     assert run.state() == "complete"
+
+
+@pytest.mark.parametrize(
+    "arguments", [["--help"], ["train", "params/boxing_final.yaml", "--set", "gama=0.9"]]
+)
+def test_help_and_refusals_wait_for_no_slow_imports(arguments):
+    code = (
+        "import atexit, sys; from atari_dqn.__main__ import main\n"
+        "atexit.register(lambda: print('slow:', sys.modules.keys() & {'torch', 'pandas', 'cv2'}))\n"
+        f"sys.argv[1:] = {arguments}; main()"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
+    assert done.stdout.endswith("slow: set()\n")
+    assert ("Usage" in done.stdout) if arguments == ["--help"] else ("'gamma'" in done.stderr)

@@ -5,9 +5,11 @@ import re
 import numpy as np
 import pandas as pd
 import pytest
-from synthetic import AGENTS, TITLES, check, evaluate, facts, numbers, store, study, window
+from synthetic import AGENTS, ROOT, TITLES, check, evaluate, facts, numbers, store, study, window
 
 from atari_dqn.analysis import summaries
+from atari_dqn.analysis.claims import FINDINGS
+from atari_dqn.analysis.statistics import likeness
 from atari_dqn.analysis.study import Section
 from atari_dqn.params import VALUE_GAMES
 
@@ -28,20 +30,46 @@ def test_the_headline_names_the_best_agent_its_mean_and_whether_that_is_human(
     tmp_path, double, level
 ):
     text = summaries.headline(boxing(tmp_path, {DQN: 5.0, DOUBLE: double, DUELING: 11.5}))
-    said = text.split("Of 16 claims")[0]
+    said = text.split("Of 21 claims")[0]
     assert facts(said) == [500, 3000, "Double DQN", double, 12.1, 0.1]
     assert re.findall("above|below", said) == [level]
     best = summaries.headline(boxing(tmp_path, {DQN: 80.0, DOUBLE: 70.0, DUELING: 90.0}))
     assert facts(best)[2:4] == ["Dueling Double DQN", 90.0]
 
 
-def test_a_headline_of_runs_in_progress_is_about_the_last_hundred_games_that_all_have_played(
+def test_a_headline_of_runs_in_progress_is_about_the_last_hundred_episodes_of_the_best_agent(
     tmp_path,
 ):
-    store(tmp_path, "boxing_final", DQN, window(701, 800, 6.0, FAR))
+    store(tmp_path, "boxing_final", DQN, window(801, 900, 6.0, FAR, after=0))
     store(tmp_path, "boxing_final", DOUBLE, window(701, 800, 9.0, -FAR, after=0))
     text = summaries.headline(study(tmp_path))
-    assert facts(text.split("Of 16")[0]) == [800, "Double DQN", 9.0, 12.1, 0.1]
+    assert facts(text.split("Of 21")[0]) == [800, "Double DQN", 9.0, 12.1, 0.1]
+
+
+def test_an_agent_has_one_score_wherever_it_is_told(tmp_path):
+    """In the headline, the cards, the conclusion and the reading, of runs in progress and of
+    finished ones: never that of an evaluation."""
+    for length, expected, window_ in ((810, 42.0, 100), (3000, 33.0, 500)):
+        scores = np.r_[np.full(length - 100, 30.75), np.full(100, 42.0)]  # of 500, 33
+        run = store(tmp_path, "boxing_final", DOUBLE, scores)
+        for agent in (DQN, DUELING):
+            store(tmp_path, "boxing_final", agent, np.full(length, 1.0))
+        evaluate(run, score=77.0, trained=length)
+        stored = study(tmp_path)
+        found = summaries.score(stored["boxing_final"], DOUBLE)
+        assert (found.mean, found.window, found.episodes) == (expected, window_, length)
+        assert float(found) == expected
+        assert expected in facts(summaries.headline(stored))
+        assert summaries.cards(stored).split("**")[1] == f"{expected:.1f}"
+        said = facts(summaries.conclusion(stored).split("\n\n")[0])
+        assert said[:4] == ["Double DQN", expected, window_, length]
+        (line,) = [
+            one for one in lines(summaries.reading(stored, "boxing_final")) if "- Double" in one
+        ]
+        assert facts(line)[:4] == ["Double DQN", expected, window_, length]
+        assert "Evaluated after" in line
+        for text in (summaries.headline(stored), summaries.cards(stored)):
+            assert "77" not in text
 
 
 def three_true_and_one_false(results):
@@ -54,37 +82,39 @@ def three_true_and_one_false(results):
 
 def test_the_claims_that_are_judged_are_counted_by_verdict(tmp_path):
     stored = three_true_and_one_false(tmp_path)
-    counted = summaries.headline(stored).split("Of 16 claims", 1)[1]
-    assert "4 are judged so far (3 supported, 1 contradicted)" in counted
+    counted = summaries.headline(stored).split("Of 21 claims", 1)[1]
+    assert "4 are judged so far (3 “in these runs: yes”, 1 “in these runs: no”)" in counted
     said = summaries.conclusion(stored)
-    (true,) = re.findall(r"\*Supported\*: (.*)", said)
-    (false,) = re.findall(r"\*Contradicted\*: (.*)", said)
+    (true,) = re.findall(r"\*In these runs: yes\*: (.*)", said)
+    (false,) = re.findall(r"\*In these runs: no\*: (.*)", said)
     assert len(true.split("; ")) == 3
     assert "Double DQN ends highest in Boxing" in true
-    assert false == "Dueling Double DQN is the best of the first 500 games in both games."
-    assert re.findall(r"\*(\w+)\*:", said) == ["Supported", "Contradicted"], "and none that is open"
+    assert false == "Dueling Double DQN is the best of the first 500 episodes in both games."
+    assert len(re.findall(r"^\*", said, re.MULTILINE)) == 2, "and none that is open"
 
 
 def test_cards_hold_the_best_score_the_human_one_the_games_stored_and_the_claims_judged(tmp_path):
     stored = three_true_and_one_false(tmp_path)
     store(tmp_path, "boxing_low_gamma", DUELING, np.zeros(250))
     cards = re.findall(r"\*\*(.+?)\*\* (.*)", summaries.cards(stored))
-    assert [number for number, _ in cards] == ["90.0", "12.1", "9,250", "4 of 16"]
-    assert facts(cards[0][1]) == ["Double DQN", 500]
+    assert [number for number, _ in cards] == ["90.0", "12.1", "9,250", "4 of 21"]
+    assert facts(cards[0][1]) == ["Double DQN", 500, 3000]
     assert "human" in cards[1][1]
-    assert "games stored" in cards[2][1]
+    assert "episodes stored" in cards[2][1]
     empty = summaries.cards(study(tmp_path / "empty"))
-    assert re.findall(r"\*\*(.+?)\*\*", empty) == ["–", "12.1", "0", "0 of 16"]
+    assert re.findall(r"\*\*(.+?)\*\*", empty) == ["–", "12.1", "0", "0 of 21"]
 
 
 def test_the_conclusion_gives_each_games_agents_the_best_first_and_its_human_score(tmp_path):
     boxing(tmp_path, {DQN: 80.0, DOUBLE: 90.0, DUELING: 85.0})
     stored = boxing(tmp_path, {DQN: 36.0, DOUBLE: 15.0, DUELING: 21.0}, "breakout_final")
     first, second, *_ = summaries.conclusion(stored).split("\n\n")
-    ranked = ["Double DQN", 90, "Dueling Double DQN", 85, "DQN", 80]
-    assert facts(first)[:9] == [500, 3000, *ranked, 12.1]
-    ranked = ["DQN", 36, "Dueling Double DQN", 21, "Double DQN", 15]
-    assert facts(second)[:9] == [500, 3000, *ranked, 30.5]
+    ranked = [("Double DQN", 90), ("Dueling Double DQN", 85), ("DQN", 80)]
+    told = [one for agent, mean in ranked for one in (agent, mean, 500, 3000)]
+    assert facts(first)[:13] == [*told, 12.1]
+    ranked = [("DQN", 36), ("Dueling Double DQN", 21), ("Double DQN", 15)]
+    told = [one for agent, mean in ranked for one in (agent, mean, 500, 3000)]
+    assert facts(second)[:13] == [*told, 30.5]
     assert first.startswith("In Boxing,")
     assert second.startswith("In Breakout,")
 
@@ -109,7 +139,7 @@ def test_an_agent_is_past_its_early_games_after_five_hundred(tmp_path):
     store(tmp_path, "boxing_final", DQN, np.full(499, 50.0))
     store(tmp_path, "boxing_final", DOUBLE, np.full(500, 7.0))
     text = summaries.headline(study(tmp_path))
-    assert facts(text.split("Of 16")[0]) == [500, "Double DQN", 7.0, 12.1, 0.1]
+    assert facts(text.split("Of 21")[0]) == [500, "Double DQN", 7.0, 12.1, 0.1]
 
 
 def lines(text):
@@ -131,7 +161,7 @@ def test_a_run_that_never_passes_the_human_score_is_not_said_to(tmp_path):
     for experiment in ("boxing_final", "breakout_final"):
         assert "passed" not in summaries.reading(study(tmp_path), experiment)
     store(tmp_path, "breakout_final", DOUBLE, np.full(300, 31.0))
-    assert "human 30.5 after game 100;" in summaries.reading(study(tmp_path), "breakout_final")
+    assert "human 30.5 after episode 100;" in summaries.reading(study(tmp_path), "breakout_final")
 
 
 def test_a_reading_has_a_line_for_every_seed_each_of_its_own_games(tmp_path):
@@ -145,8 +175,8 @@ def test_a_reading_has_a_line_for_every_seed_each_of_its_own_games(tmp_path):
     first, second, *_ = lines(summaries.reading(stored, "boxing_final"))
     assert facts(first)[:3] == ["DQN", 1, 20.0]
     assert facts(second)[:3] == ["DQN", 2, 40.0]
-    assert facts(first)[-3:] == [VALUE_GAMES, 300, 21.0]
-    assert facts(second)[-3:] == [VALUE_GAMES, 300, 41.0]
+    assert facts(first)[-3:] == [300, VALUE_GAMES, 21.0]
+    assert facts(second)[-3:] == [300, VALUE_GAMES, 41.0]
 
 
 def test_a_reading_gives_the_claims_about_its_experiment_with_number_verdict_and_evidence(tmp_path):
@@ -155,7 +185,7 @@ def test_a_reading_gives_the_claims_about_its_experiment_with_number_verdict_and
     judged = {int(re.search(r"claim (\d+)", line)[1]): line for line in said}
     assert sorted(judged) == [1, 2, 3, 4]
     for number, line in judged.items():
-        assert line.startswith("- *Contradicted*" if number == 3 else "- *Supported*")
+        assert line.startswith(f"- *In these runs: {'no' if number == 3 else 'yes'}*")
     compared = [
         "Double DQN",
         90,
@@ -180,7 +210,7 @@ def test_the_newest_greedy_games_are_those_of_an_evaluation_not_long_ago(tmp_pat
     """An evaluation counts until the checks along the way are more than a hundred games newer."""
     run = store(tmp_path, "boxing_final", DQN, np.full(900, 5.0))
     check(run, np.array([0.0, 10.0, 20.0, 30.0, 40.0]))
-    for trained, expected in ((400, [40, 400, 7.0]), (399, [VALUE_GAMES, 500, 40.0])):
+    for trained, expected in ((400, [400, 40, 7.0]), (399, [500, VALUE_GAMES, 40.0])):
         evaluate(run, trained=trained, score=7.0)
         line = lines(summaries.reading(study(tmp_path), "boxing_final"))[0]
         assert facts(line)[-3:] == expected
@@ -199,7 +229,7 @@ def test_scores_beside_the_source_reports_are_of_the_same_agent_mark_and_games(t
     store(tmp_path, "boxing_final", DOUBLE, window(1501, 2000, 90.0, FAR))
     said = summaries.beside_source(study(tmp_path)["boxing_final"])
     assert facts(said)[5:8] == ["Double DQN", 90.0, 90.8]
-    assert numbers(said)[-1] == 4, "agent steps an update"
+    assert numbers(said)[-1] == 4, "agent steps per update"
 
 
 def test_a_reading_tells_where_a_run_stands_and_when_it_passed_the_human_score(tmp_path):
@@ -208,8 +238,10 @@ def test_a_reading_tells_where_a_run_stands_and_when_it_passed_the_human_score(t
     text = summaries.reading(study(tmp_path), "boxing_final")
     mean = pd.Series(curve).rolling(100).mean()
     passed = int(mean.gt(12.1).idxmax()) + 1
-    assert "DQN scores 20.0 points a game over the last 100 of 300 games, 22% of its" in text
-    assert f"first passed the human 12.1 after game {passed};" in text
+    assert (
+        "DQN scores 20.0 points per episode over the last 100 of 300 episodes, 22% of its" in text
+    )
+    assert f"first passed the human 12.1 after episode {passed};" in text
     assert "claims 1, 2, 3, 4 are still open" in text
 
 
@@ -218,8 +250,8 @@ def test_a_reading_puts_the_source_reports_scores_beside_ours_at_the_last_common
     store(tmp_path, "boxing_final", "double_dqn", np.full(600, 20.0))
     stored = study(tmp_path)
     expected = (
-        "where both are known: DQN 60.0 and 51.6 (games 501 to 1,000), "
-        "Double DQN 20.0 and 29.0 (games 1 to 500)."
+        "where both are known: DQN 60.0 and 51.6 (episodes 501 to 1,000), "
+        "Double DQN 20.0 and 29.0 (episodes 1 to 500)."
     )
     for text in (summaries.reading(stored, "boxing_final"), summaries.conclusion(stored)):
         assert expected in text
@@ -236,11 +268,13 @@ def test_an_agent_that_has_just_begun_is_named_and_compared_with_nobody(tmp_path
     store(tmp_path, "boxing_final", "dueling_double_dqn", np.full(120, 50.0))
     stored = study(tmp_path)
     assert (
-        "After 600 games of Boxing the agent with the most points so far, Double DQN, scores 9.0"
+        "After 600 episodes of Boxing the agent with the most points so far, Double DQN, scores 9.0"
         in (summaries.headline(stored))
     )
-    assert "Double DQN 9.0, DQN 5.0" in summaries.conclusion(stored)
-    assert "Dueling Double DQN has played 120 games only" in summaries.conclusion(stored)
+    assert "Double DQN 9.0 (last 100 of 600), DQN 5.0 (last 100 of 700)" in summaries.conclusion(
+        stored
+    )
+    assert "Dueling Double DQN has played 120 episodes only" in summaries.conclusion(stored)
 
 
 def test_a_second_seed_that_has_just_begun_takes_nothing_from_the_first(tmp_path):
@@ -249,7 +283,9 @@ def test_a_second_seed_that_has_just_begun_takes_nothing_from_the_first(tmp_path
     section = stored["boxing_final"]
     second = section.episodes.head(120).assign(seed=2, score=90.0)
     section.__dict__["episodes"] = pd.concat([section.episodes, second])
-    assert "After 700 games of Boxing DQN scores 5.0 points a game" in summaries.headline(stored)
+    assert "After 700 episodes of Boxing DQN scores 5.0 points per episode" in summaries.headline(
+        stored
+    )
 
 
 def test_finished_runs_are_told_of_as_finished(tmp_path):
@@ -259,13 +295,14 @@ def test_finished_runs_are_told_of_as_finished(tmp_path):
     stored = study(tmp_path)
     headline = summaries.headline(stored)
     assert (
-        "over the last 500 of 3,000 training games is that of Double DQN, 90.0 points" in headline
+        "over the last 500 of 3,000 training episodes is that of Double DQN, 90.0 points"
+        in headline
     )
     reading = summaries.reading(stored, "boxing_final")
     scored = pd.read_csv(run.folder / "evaluations.csv").score.mean()
-    said = f"Playing 40 games greedily after 3,000 of training, it scored {scored:.1f}"
+    said = f"Evaluated after 3,000 episodes (40 greedy ones): {scored:.1f}"
     assert said in reading
-    assert "so far" not in headline.split("Of 16 claims")[0] + reading
+    assert "so far" not in headline.split("Of 21 claims")[0] + reading
 
 
 def test_at_another_difficulty_no_human_score_is_passed(tmp_path):
@@ -273,3 +310,96 @@ def test_at_another_difficulty_no_human_score_is_passed(tmp_path):
     text = summaries.reading(study(tmp_path), "boxing_expert")
     assert "DQN scores 60.0" in text
     assert "human" not in text
+
+
+TILE = re.compile(
+    r"::: \{\.tile \.(yes|no|mixed|open)\}\n\*\*(\d+)\*\* (.+)\.\n\n"
+    r"(?:(Source: .+)\n\n)?\[Section\]\(#([a-z-]+)\)\{\.more\}\n:::"
+)
+
+
+def test_the_board_has_a_tile_for_every_claim_of_the_verdicts_kind(tmp_path):
+    text = summaries.board(three_true_and_one_false(tmp_path))
+    assert text.startswith("::: {.board}\n")
+    assert text.endswith("\n:::\n:::")
+    tiles = TILE.findall(text)
+    assert [int(number) for _, number, *_ in tiles] == list(range(1, len(FINDINGS) + 1))
+    assert [kind for kind, *_ in tiles[:4]] == ["yes", "yes", "no", "yes"]
+    assert {kind for kind, *_ in tiles[4:]} == {"open"}
+    assert not TILE.sub("", text).removeprefix("::: {.board}").removesuffix(":::").strip()
+
+
+def test_tiles_are_short_and_lead_to_sections_that_exist(tmp_path):
+    notebooks = "".join(path.read_text("utf-8") for path in (ROOT / "notebooks").glob("*.ipynb"))
+    for _, number, short, _, section in TILE.findall(summaries.board(study(tmp_path))):
+        assert len(short) <= 60, number
+        assert f"{{#{section}" in notebooks, number
+
+
+def test_a_tile_has_the_source_reports_scores_and_ours_with_their_intervals(tmp_path):
+    rng = np.random.default_rng(0)
+    for agent, mean in {DQN: 40.0, DOUBLE: 60.0}.items():
+        store(tmp_path, "boxing_final", agent, mean + rng.normal(0, 5, 3000))
+    said = {
+        number: text for _, number, _, text, _ in TILE.findall(summaries.board(study(tmp_path)))
+    }
+    theirs, mean, low, high = numbers(said["4"])
+    assert theirs == 92.6
+    assert 58 < low < mean < high < 62
+    assert mean == pytest.approx(60, abs=0.5)
+    theirs, ours = said["1"].split(" Here: ")
+    assert facts(theirs) == ["DQN", 51.6, "Double DQN", 80.2, "Dueling Double DQN", 72.4]
+    assert ours.endswith("Dueling Double DQN –.")
+    assert said["5"] == "Source: 15.4. Here: not there yet."
+    assert "Boxing 36.3, Breakout 4.9" in said["3"]
+    assert said["13"] == "", "the source report gives no number"
+
+
+def test_how_alike_blocks_are_is_measured_in_the_stored_runs(tmp_path):
+    assert summaries.neighbours(study(tmp_path)) == ""
+    rng, level, blocks = np.random.default_rng(0), 0.0, []
+    for _ in range(60):  # blocks of 50 that resemble one another
+        level = 0.9 * level + rng.normal()
+        blocks.append(np.full(50, level))
+    store(tmp_path, "boxing_final", DQN, np.concatenate(blocks))
+    found = numbers(summaries.neighbours(study(tmp_path)))
+    measured = [likeness(np.array(blocks)[at : at + 10, 0]) for at in range(0, 60, 10)]
+    expected = [50, 6, min(measured), max(measured), np.median(measured), 10, 95]
+    assert found[:7] == pytest.approx(expected, abs=0.006)
+    assert 60 < found[8] <= found[7] < 98, "% of cases"
+
+
+def test_over_three_seeds_the_agents_are_compared_by_interquartile_means_of_both_games(tmp_path):
+    """Scores are human-normalised: in Boxing (x - 0.1) / 12, in Breakout (x - 1.7) / 28.8."""
+    boxing_, breakout = {"boxing_final": [12.1, 24.1, 48.1]}, {"breakout_final": [30.5, 59.3, 1.7]}
+    stored = study(tmp_path)
+    for name, means in (boxing_ | breakout).items():
+        for seed, mean in enumerate(means, start=1):
+            store(tmp_path, name, DQN, window(2501, 3000, mean, FAR, after=0), seed=seed)
+        stored.sections[name] = Section(name, "full", str(tmp_path), [DQN], [1, 2, 3])
+    # 1, 2, 4 and 1, 2, 0: without the highest and the lowest
+    agent, mean, low, high, *_ = facts(summaries.over_seeds(stored))
+    assert (agent, mean) == ("DQN", 1.5)
+    assert low < mean < high
+    assert summaries.over_seeds(stored) in summaries.conclusion(stored)
+    for seeds in ([1, 2], [1, 2, 3, 4]):  # too few; one that is not there
+        stored.sections["boxing_final"] = Section(
+            "boxing_final", "full", str(tmp_path), [DQN], seeds
+        )
+        assert summaries.over_seeds(stored) == ""
+
+
+def test_what_random_play_is_given_by_a_difficulty_is_told_when_both_are_measured(tmp_path):
+    final = store(tmp_path, "boxing_final", DQN, np.zeros(700))
+    expert = store(tmp_path, "boxing_expert", DQN, np.zeros(700))
+    evaluate(final, trained=700, epsilon=1.0, score=0.5)
+    pair = ("boxing_expert", "boxing_final")
+    assert summaries.head_start(study(tmp_path), *pair) == ""
+    evaluate(expert, trained=700, score=70.0)  # greedily
+    assert summaries.head_start(study(tmp_path), *pair) == ""
+    evaluate(final, trained=700, add=True, epsilon=1.0, difficulty=3, score=6.5)
+    found = numbers(summaries.head_start(study(tmp_path), *pair))
+    assert [found[at] for at in (0, 3, 4, 7, 8)] == [6.5, 3, 0.5, 0, 6.0]
+    assert found[1] < 6.5 < found[2]
+    assert "higher" in summaries.head_start(study(tmp_path), *pair)
+    assert "lower" in summaries.head_start(study(tmp_path), *reversed(pair))

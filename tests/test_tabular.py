@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from matplotlib.patches import Rectangle
 
 from atari_dqn.report import tabular
 from atari_dqn.report.tabular import COLUMNS, GOAL, ROWS, SHORTEST, START, Transition
@@ -71,6 +72,22 @@ def test_the_greatest_of_noisy_estimates_is_too_great_and_a_second_set_is_right(
     expected = [0, 1 / np.sqrt(np.pi), 1.5 / np.sqrt(np.pi)]  # of one, two and three normals
     assert believed["the same estimates"].tolist() == pytest.approx(expected, abs=0.02)
     assert believed["a second set"].tolist() == pytest.approx([0, 0, 0], abs=0.02)
+
+
+def test_the_greedy_path_is_framed_on_the_map_and_crosses_no_text():
+    q, _ = tabular.learn(lambda game: 0.1, games=300, seed=1)
+    figure = tabular.grid_figure(q)
+    (axes,) = figure.axes
+    frames = [patch for patch in axes.patches if isinstance(patch, Rectangle)]
+    cells = [int(frame.get_y()) * COLUMNS + int(frame.get_x()) for frame in frames]
+    assert cells == tabular.greedy_path(q)
+    figure.canvas.draw()
+    for text in axes.texts:
+        place = text.get_window_extent()
+        for frame in frames:
+            box = frame.get_window_extent()
+            inside = (box.min <= place.min).all() and (place.max <= box.max).all()
+            assert inside or not box.overlaps(place), text.get_text()
 
 
 def test_the_map_prints_every_cell_and_the_figures_can_be_drawn():

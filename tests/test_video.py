@@ -1,5 +1,6 @@
 """Videos of short games on the real cartridges, with untrained networks."""
 
+import colorsys
 import io
 
 import av
@@ -11,6 +12,7 @@ import torch
 from atari_dqn.agents import AGENTS
 from atari_dqn.envs import make_env
 from atari_dqn.evaluation import play, player_of
+from atari_dqn.report import plots
 from atari_dqn.report import video as module
 from atari_dqn.report.video import play_with_instruments, side_by_side
 
@@ -118,6 +120,48 @@ def test_the_value_stream_is_the_mean_of_the_q_values(small):
         expected = reduce(recording.q_values, axis=1)
         np.testing.assert_allclose(recording.values, expected, atol=1e-6)
         assert recording.values.std() > 1e-5, "the test would not see a wrong order"
+
+
+def test_an_agent_has_the_colour_on_video_that_it_has_in_the_figures(small):
+    """Lighter, on a dark ground: its hue is the same, and it is that of no other agent."""
+    seen = {}
+    for agent in AGENTS:
+        params = small(agents=[agent], max_game_frames=100)
+        poster = image(play_with_instruments(untrained(params), params, "Agent", 1, 0).poster)
+        mind = poster[module.TOP + 84 + 46 : -module.MARGIN, module.RIGHT + 150 : -module.MARGIN]
+        colours, counts = np.unique(mind.reshape(-1, 3)[:, ::-1], axis=0, return_counts=True)
+        vivid = np.ptp(colours.astype(int), axis=1) > 60
+        (colour,) = colours[vivid & (counts > 200)]  # the bar of the chosen action
+        seen[agent] = tuple(colour)
+        wanted = colorsys.rgb_to_hsv(*plots.STYLES[agent].colour)
+        assert colorsys.rgb_to_hsv(*colour / 255)[0] == pytest.approx(wanted[0], abs=0.01)
+    assert len(set(seen.values())) == len(AGENTS)
+
+
+def test_one_agent_at_two_stages_is_drawn_in_two_shades_and_two_agents_in_their_own_colours(small):
+    recordings = {
+        agent: module._record(untrained(params), params, 1, 0)
+        for agent in ("dqn", "double_dqn")
+        for params in [small(agents=[agent], max_game_frames=40)]
+    }
+    assert module._looks(recordings) == [plots.STYLES["dqn"], plots.STYLES["double_dqn"]]
+    one = recordings["dqn"]
+    early, late = module._looks({"100 games": one, "500 games": one})
+    assert {early.colour, late.colour}.isdisjoint({look.colour for look in plots.STYLES.values()})
+    assert early.colour != late.colour
+    assert early.line != late.line
+
+
+def test_most_of_a_strip_are_its_pictures(small):
+    params = small(max_game_frames=200)
+    video = play_with_instruments(untrained(params), params, "Agent", 1, 0)
+    shown = image(video.strip).astype(int)
+    green = shown[:, :, 1] > shown[:, :, 2] + 20  # the ring, which the curves are not drawn on
+    places = np.flatnonzero(green.mean(axis=0) > 0.3)
+    wide = np.split(places, np.flatnonzero(np.diff(places) > 10) + 1)
+    assert len(wide) == module.MOMENTS[0]
+    assert min(map(len, wide)) / 200 * 2.54 > 3  # centimetres
+    assert green.mean() > 0.36
 
 
 def test_three_contestants_play_until_the_last_has_finished(small):

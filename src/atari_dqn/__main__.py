@@ -1,26 +1,23 @@
-"""The command line: python -m atari_dqn."""
+"""The command line: python -m atari_dqn.
+
+Each command imports what it needs, since PyTorch and all that draws take seconds.
+"""
 
 import sys
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-import pandas as pd
 import typer
-from tabulate import tabulate
-from tqdm import tqdm
 
 from atari_dqn import params
 from atari_dqn.params import ParameterError
-from atari_dqn.runs import audit, evaluations, plan, recorder, records
-from atari_dqn.runs.audit import Difference
-from atari_dqn.runs.checkpoints import CheckpointError
 from atari_dqn.runs.files import RunError, results_folder, write_atomically
-from atari_dqn.runs.records import RecordError
-from atari_dqn.runs.run import Run, runs_of
-from atari_dqn.runs.scheduler import train_all
+
+if TYPE_CHECKING:
+    from atari_dqn.runs.run import Run
 
 app = typer.Typer(
     help="Train, evaluate and report on Deep Q-Networks that play Atari Boxing and Breakout.",
@@ -60,7 +57,7 @@ def _interruptible() -> Iterator[None]:
         raise typer.Exit(130) from None
 
 
-def _back_up(wanted: list[Run]) -> None:
+def _back_up(wanted: "list[Run]") -> None:
     for run in wanted:
         aside = run.back_up()
         if aside is not None:
@@ -87,6 +84,10 @@ def train(
     """
     overrides = params.parse_overrides(set_ or [])
     chosen = params.pick(params.load(params_file, overrides), agent, seed)
+
+    from atari_dqn.runs import recorder
+    from atari_dqn.runs.run import runs_of
+
     wanted = runs_of(chosen, results_folder(chosen.profile, results))
     _back_up(wanted if restart else [])
     with _interruptible():
@@ -118,9 +119,12 @@ def evaluate(
     }
     given = {key: value for key, value in chosen.items() if value is not None}
     _writable(video)
+
+    from atari_dqn.runs import evaluations
+
     played = evaluations.evaluate(run_dir, given, games)
     if video is not None:
-        from atari_dqn.report import videos  # what it draws with takes seconds to import
+        from atari_dqn.report import videos
 
         videos.write_game(run_dir, given, video)
     print(
@@ -145,11 +149,14 @@ def replay(
 ) -> None:
     """Play a training game again from its record."""
     _writable(video)
+
+    from atari_dqn.runs import audit, records
+
     parameters = audit.stored_parameters(run_dir)
     record = audit.find(run_dir, episode)
     facts = audit.outcome(parameters, record)
     if video is not None:
-        from atari_dqn.report.video import television  # what it draws with takes seconds to import
+        from atari_dqn.report.video import television
 
         write_atomically(video, television(records.replay(parameters, record)))
     print(
@@ -173,6 +180,11 @@ def verify(
     """Play games of a run again and compare them with its tables; exit 1 at a difference."""
     if everything and episodes is not None:
         raise ParameterError("--episodes: --all plays every game; leave out one of the two")
+
+    from tqdm import tqdm
+
+    from atari_dqn.runs import audit
+
     for run_dir in run_dirs:
         checked = audit.verify(run_dir, None if everything else episodes or 20)
         bar = tqdm(checked, desc="verifying", unit="game", mininterval=2, leave=False)
@@ -183,6 +195,11 @@ def verify(
 @experiments_app.command()
 def status(names: Names = None, results: Results = None, profile: Profile = "full") -> None:
     """Show every run: complete, running, interrupted, failed, missing or stale."""
+    import pandas as pd
+    from tabulate import tabulate
+
+    from atari_dqn.runs import plan
+
     table = plan.status(plan.planned(profile, names or [], results))
     shown = pd.DataFrame(
         {
@@ -217,13 +234,18 @@ def run(
     """Train what is missing or interrupted, several runs at once."""
     if scheduler is not None and workers is not None:
         raise ParameterError("--workers: a cluster has its own; leave it out with --scheduler")
+
+    from atari_dqn.runs import plan
+
     wanted = plan.planned(profile, names or [], results)
     _back_up(wanted if restart else [])
     with _interruptible():
         if scheduler is None:
+            from atari_dqn.runs.scheduler import train_all
+
             failures = train_all(wanted, workers)
         else:
-            from atari_dqn.runs import cluster  # Dask takes a second to import
+            from atari_dqn.runs import cluster
 
             failures = cluster.train_all(wanted, scheduler)
     if failures:
@@ -233,7 +255,7 @@ def run(
 @app.command(name="report")
 def report_(profile: Profile = "full", results: Results = None) -> None:
     """Render the report from the stored runs; quick and smoke train their small runs first."""
-    from atari_dqn.report import build  # which imports all that draws
+    from atari_dqn.report import build
 
     with _interruptible():
         print(f"report: {build.build(profile, results)}/index.html and report.pdf")
@@ -247,7 +269,7 @@ def main() -> None:
     except ParameterError as error:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(2)
-    except (RunError, CheckpointError, RecordError, Difference) as error:
+    except RunError as error:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(1)
     except OSError as error:

@@ -2,33 +2,37 @@
 judge that gives its verdict."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import pandas as pd
 
 from atari_dqn.analysis.study import Study
 from atari_dqn.analysis.verdicts import (
-    CONTRADICTED,
     DOUBLE,
     DQN,
     DUELING,
-    SUPPORTED,
+    Outcome,
     Verdict,
+    above,
     all_of,
+    apart,
     beaten_everywhere,
+    beats_variation,
     compare_agents,
     compare_evaluations,
     compare_greedy_checks,
     compare_steadiness,
+    compare_style,
     compare_training,
     human_level,
+    improves,
     negated,
     overestimation,
     runs_finished,
 )
 
-REFINED = [DOUBLE, DUELING]
-MARGIN = 5.0  # points; less of a gain from transfer is none
+ALL, REFINED = [DQN, DOUBLE, DUELING], [DOUBLE, DUELING]
+MARGIN = 5.0  # points; less of a difference is none
 
 
 @dataclass(frozen=True)
@@ -40,10 +44,18 @@ class Claim:
     source: str
     experiments: tuple[str, ...]
     judge: Callable[[Study], Verdict]
+    short: str = ""  # the same for a tile of the board: at most 60 letters
+    section: str = "sec-findings"  # the label of ours that shows its runs
+    scores: tuple[tuple[str, str, int], ...] = ()  # experiment, agent, milestone (1 to 6): the
+    # scores that it is about, where the source report gives them
+
+
+def _scores(experiment: str, agents: list[str], milestone: int) -> tuple[tuple[str, str, int], ...]:
+    return tuple((experiment, agent, milestone) for agent in agents)
 
 
 def table(claims: tuple[Claim, ...], study: Study) -> pd.DataFrame:
-    """A row a claim: its number, what is claimed and where, the verdict, the evidence."""
+    """A row per claim: its number, what is claimed and where, the verdict, the evidence."""
     rows = []
     for number, claim in enumerate(claims, start=1):
         found = claim.judge(study)
@@ -63,10 +75,13 @@ def table(claims: tuple[Claim, ...], study: Study) -> pd.DataFrame:
 # way. "Implied": it shows or suggests this without saying so.
 FINDINGS = (
     Claim(
-        "All three agents exceed the human score in Boxing after 1,000 games",
+        "All three agents exceed the human score in Boxing after 1,000 episodes",
         "2.1",
         ("boxing_final",),
         lambda study: human_level(study, "boxing_final", milestone=2),
+        "All agents are above the human in Boxing after 1,000",
+        "sec-boxing",
+        _scores("boxing_final", ALL, 2),
     ),
     Claim(
         "Double and Dueling Double DQN end above DQN in Boxing",
@@ -75,9 +90,12 @@ FINDINGS = (
         lambda study: all_of(
             [compare_agents(study, "boxing_final", agent, [DQN], 6) for agent in REFINED]
         ),
+        "Both refinements end above DQN in Boxing",
+        "sec-boxing",
+        _scores("boxing_final", ALL, 6),
     ),
     Claim(
-        "Dueling Double DQN is the best of the first 500 games in both games",
+        "Dueling Double DQN is the best of the first 500 episodes in both games",
         "2.1",
         ("boxing_final", "breakout_final"),
         lambda study: all_of(
@@ -86,12 +104,18 @@ FINDINGS = (
                 for name in ("boxing_final", "breakout_final")
             ]
         ),
+        "Dueling Double DQN learns fastest in both games",
+        "sec-results",
+        _scores("boxing_final", [DUELING], 1) + _scores("breakout_final", [DUELING], 1),
     ),
     Claim(
         "Double DQN ends highest in Boxing",
         "2.1",
         ("boxing_final",),
         lambda study: compare_agents(study, "boxing_final", DOUBLE, [DQN, DUELING], 6),
+        "Double DQN ends highest in Boxing",
+        "sec-boxing",
+        _scores("boxing_final", [DOUBLE], 6),
     ),
     Claim(
         "Double DQN ends lowest in Breakout",
@@ -103,6 +127,9 @@ FINDINGS = (
                 for agent in (DQN, DUELING)
             ]
         ),
+        "Double DQN ends lowest in Breakout",
+        "sec-breakout",
+        _scores("breakout_final", [DOUBLE], 6),
     ),
     Claim(
         "Of the three, only DQN reaches the human score in Breakout",
@@ -114,18 +141,27 @@ FINDINGS = (
                 *(negated(human_level(study, "breakout_final", [agent])) for agent in REFINED),
             ]
         ),
+        "Only DQN reaches the human score in Breakout",
+        "sec-breakout",
+        _scores("breakout_final", ALL, 6),
     ),
     Claim(
-        "Preprocessing, and the settings that came with it, improve DQN in Breakout",
+        "Preprocessing, and the settings that came with it, make the agents considerably better in "
+        "Breakout (only DQN was trained before it, and can be compared)",
         "3.2.3",
         ("breakout_early", "breakout_late"),
         lambda study: all_of(compare_evaluations(study, "breakout_late", "breakout_early")),
+        "Preprocessing makes DQN considerably better in Breakout",
+        "sec-breakout-early",
     ),
     Claim(
         "DQN is the best of the later Breakout experiment",
         "3.2.3",
         ("breakout_late",),
         lambda study: compare_agents(study, "breakout_late", DQN, REFINED, 6),
+        "DQN is the best of the later Breakout experiment",
+        "sec-breakout-late",
+        _scores("breakout_late", [DQN], 6),
     ),
     Claim(
         "Breakout improves with a price on lost lives (and with larger batches, and with less "
@@ -133,52 +169,72 @@ FINDINGS = (
         "3.3.1, implied",
         ("breakout_final", "breakout_late"),
         lambda study: all_of(compare_evaluations(study, "breakout_final", "breakout_late")),
+        "A price on lost lives improves Breakout",
+        "sec-breakout",
     ),
     Claim(
-        "The early Boxing settings (rate 1e-3, batch 64, floor 0.1) learn less than the final ones",
+        "The early Boxing settings (a learning rate of 0.001, batches of 64, an epsilon of 0.1 at "
+        "the least) learn less than the final ones",
         "3.3.1",
         ("boxing_early",),
         lambda study: all_of(compare_greedy_checks(study, "boxing_final", "boxing_early")),
+        "The early Boxing settings learn less than the final ones",
+        "sec-boxing-early",
     ),
     Claim(
         "With them, the learning curve oscillates more",
         "3.3.1",
         ("boxing_early",),
-        lambda study: compare_steadiness(study, "boxing_final", "boxing_early", DQN),
+        lambda study: compare_steadiness(
+            study,
+            ("boxing_final", DQN),
+            ("boxing_early", DQN),
+            study["boxing_early"].params.episodes,
+        ),
+        "With them, the learning curve oscillates more",
+        "sec-boxing-early",
     ),
     Claim(
-        "A discount of 0.9 makes agents reckless: they concede more points than with 0.99",
+        "A discount of 0.9 makes agents reckless: after the same training, and when they score the "
+        "same, they concede more points per minute than with 0.99",
         "3.3.2",
         ("boxing_low_gamma",),
         lambda study: all_of(
-            compare_evaluations(study, "boxing_low_gamma", "boxing_final", "conceded_a_minute")
+            compare_style(study, "boxing_low_gamma", "boxing_final", "conceded_per_minute")
         ),
+        "A discount of 0.9 makes agents reckless",
+        "sec-low-gamma",
     ),
     Claim(
         "A discount of 0.9 plays worse than 0.99",
         "3.3.2, implied",
         ("boxing_low_gamma",),
         lambda study: all_of(compare_training(study, "boxing_final", "boxing_low_gamma")),
+        "A discount of 0.9 plays worse than 0.99",
+        "sec-low-gamma",
     ),
     Claim(
-        "A discount of 0.995 makes agents shy: they keep a greater distance than with 0.99",
+        "A discount of 0.995 makes agents shy: after the same training, and when they score the "
+        "same, they keep a greater distance than with 0.99",
         "3.3.2",
         ("boxing_high_gamma",),
-        lambda study: all_of(
-            compare_evaluations(study, "boxing_high_gamma", "boxing_final", "distance")
-        ),
+        lambda study: all_of(compare_style(study, "boxing_high_gamma", "boxing_final", "distance")),
+        "A discount of 0.995 makes agents shy",
+        "sec-high-gamma",
     ),
     Claim(
-        "All agents learn faster in expert mode: they gain more in the first 500 games",
+        "All agents learn faster in expert mode: they gain more in the first 500 episodes",
         "additional",
         ("boxing_expert",),
         lambda study: all_of(
             compare_training(study, "boxing_expert", "boxing_final", milestone=1, gain=True)
         ),
+        "All agents learn faster in expert mode",
+        "sec-expert",
     ),
     Claim(
         f"Starting from a Breakout agent is worth less than {MARGIN:g} points in Boxing, early "
-        "(first 500 games) and at the end",
+        "(first 500 episodes) and at the end",
         "additional",
         ("boxing_transfer",),
         lambda study: all_of(
@@ -186,10 +242,103 @@ FINDINGS = (
                 negated(gains)
                 for milestone in (1, None)
                 for gains in compare_training(
-                    study, "boxing_transfer", "boxing_final", milestone=milestone, margin=MARGIN
+                    study,
+                    "boxing_transfer",
+                    "boxing_final",
+                    milestone=milestone,
+                    rule=above(MARGIN),
                 )
             ]
         ),
+        "A start from a Breakout agent is worth little in Boxing",
+        "sec-transfer",
+    ),
+    Claim(
+        f"A discount of 0.995 changes the score, by more than {MARGIN:g} points up or down against "
+        "0.99 (the effect is called surprising, and its direction is not said)",
+        "3.3.2",
+        ("boxing_high_gamma",),
+        lambda study: all_of(
+            compare_training(study, "boxing_high_gamma", "boxing_final", rule=apart(MARGIN))
+        ),
+        "A discount of 0.995 has a surprising effect on the score",
+        "sec-high-gamma",
+    ),
+    Claim(
+        "Tuning the learning rate, the batch size and the number of episodes all helped in Boxing: "
+        "the final ones score more than a higher rate, than larger batches and than fewer episodes",
+        "3.3.2",
+        ("boxing_sensitivity",),
+        lambda study: all_of(
+            [
+                *(
+                    beats_variation(study, "boxing_final", "boxing_sensitivity", variation)
+                    for variation in ("learning rate x 4", "batch size x 2")
+                ),
+                improves(study, "boxing_final", DUELING, until=1400, episodes=500),
+            ]
+        ),
+        "Tuning rate, batch size and episodes all helped in Boxing",
+        "sec-sensitivity",
+    ),
+    Claim(
+        "Clipped rewards make learning in Boxing faster than raw ones: they score more over the "
+        "first 500 episodes",
+        "3.1.1",
+        ("boxing_sensitivity",),
+        lambda study: beats_variation(study, "boxing_final", "boxing_sensitivity", "raw rewards"),
+        "Clipped rewards make learning in Boxing faster",
+        "sec-sensitivity",
+    ),
+    Claim(
+        "With the early Boxing settings, DQN still improves: its last 500 episodes score more than "
+        "its first 500",
+        "3.3.1",
+        ("boxing_early",),
+        lambda study: improves(study, "boxing_early", DQN, until=500, episodes=500),
+        "The early Boxing agent shows a small improvement",
+        "sec-boxing-early",
+    ),
+    Claim(
+        "In the later Breakout experiment Double and Dueling Double DQN are less stable than DQN: "
+        "their curves oscillate more",
+        "3.2.3",
+        ("breakout_late",),
+        lambda study: all_of(
+            [
+                compare_steadiness(
+                    study,
+                    ("breakout_late", DQN),
+                    ("breakout_late", agent),
+                    study["breakout_late"].params.episodes,
+                )
+                for agent in REFINED
+            ]
+        ),
+        "Double Q-learning is less stable in later Breakout",
+        "sec-breakout-late",
+    ),
+    Claim(
+        "With more than 3,000 episodes of later Breakout they might have caught up with DQN",
+        "3.2.3",
+        ("breakout_late",),
+        lambda study: Verdict(
+            Outcome.UNTESTED, "no run is longer than the 3,000 episodes of the source report"
+        ),
+        "With more episodes they might have caught up with DQN",
+        "sec-breakout-late",
+    ),
+    Claim(
+        "The early Breakout agent was held back by exploiting too early",
+        "3.2.3",
+        ("breakout_early",),
+        lambda study: Verdict(
+            Outcome.UNTESTED,
+            "no early run with another schedule of epsilon is planned; such schedules are tried in "
+            "Boxing only (@sec-sensitivity)",
+        ),
+        "Early Breakout was held back by exploiting too early",
+        "sec-breakout-early",
     ),
 )
 
@@ -199,7 +348,6 @@ def findings(study: Study) -> pd.DataFrame:
     return table(FINDINGS, study)
 
 
-_UNTESTED = "not tested"
 # How the source report explains its findings (its section 2.1).
 INTERPRETATIONS = (
     Claim(
@@ -230,7 +378,7 @@ INTERPRETATIONS = (
         "2.1",
         (),
         lambda study: Verdict(
-            _UNTESTED,
+            Outcome.UNTESTED,
             "its Boxing environment is not named; ours is without chance (@sec-stochasticity)",
         ),
     ),
@@ -238,23 +386,20 @@ INTERPRETATIONS = (
         "Replay and a second network make DQN better than what was before it",
         "2.1",
         (),
-        lambda study: Verdict(_UNTESTED, "no agent without them is trained; see @mnih2015"),
+        lambda study: Verdict(Outcome.UNTESTED, "no agent without them is trained; see @mnih2015"),
     ),
 )
 
 
-PREMISE = {SUPPORTED: "premise holds", CONTRADICTED: "premise fails"}
-
-
 def _premise(verdict: Verdict, what: str) -> Verdict:
     """The verdict on what an interpretation presupposes, which is not one on the interpretation."""
-    found = PREMISE.get(verdict.verdict, verdict.verdict)
-    return Verdict(found, f"{verdict.evidence} ({what})")
+    return replace(verdict, evidence=f"{verdict.evidence} ({what})")
 
 
 def interpretations(study: Study) -> pd.DataFrame:
     """What the runs say on the premises of `INTERPRETATIONS`."""
-    return table(INTERPRETATIONS, study).rename(columns={"claim": "interpretation"})
+    names = {"claim": "interpretation", "verdict": "its premise"}
+    return table(INTERPRETATIONS, study).rename(columns=names)
 
 
 # The source report's four goals (its section 2.2), and that of its abstract; with what it says of
@@ -299,7 +444,10 @@ GOALS = (
         lambda study: runs_finished(study, ["boxing_transfer", "boxing_transfer_controls"]),
     ),
 )
-REACHED = {SUPPORTED: "reached", CONTRADICTED: "not reached"}  # what a verdict on a goal is called
+# What a verdict on a goal is called
+REACHED = dict(zip(Outcome.YES.value, ("reached in these runs", "reached"), strict=True)) | dict(
+    zip(Outcome.NO.value, ("not reached in these runs", "not reached"), strict=True)
+)
 
 
 def goals(study: Study) -> pd.DataFrame:

@@ -1,5 +1,6 @@
 """The stored runs that a section of the report is about."""
 
+import copy
 from functools import cached_property
 from typing import Any
 
@@ -24,7 +25,7 @@ from atari_dqn.runs.run import (
     runs_of,
 )
 
-FRAMES_A_MINUTE = 60 * 60
+FRAMES_PER_MINUTE = 60 * 60
 
 
 def data(name: str) -> Any:
@@ -58,11 +59,23 @@ class Section:
         self.params: Parameters = params.load(found[experiment], overrides)
         self.facts: GameFacts = GAMES[self.params.game]
         self.slug = experiment.replace("_", "-")  # what this section's labels hold
+        self.name = f"`{experiment}`"  # what sentences call it
         folder = results_folder(profile, results_dir)
         self.runs = runs_of(self.params, folder)
-        # How many games a point of a learning curve, and a number at a milestone, is the mean of.
+        # How many episodes a point of a learning curve, and a number at a milestone, is the mean of
         self.curve_window = max(1, self.params.episodes // 30)
         self.milestone_window = max(1, self.params.episodes // len(MILESTONES))
+
+    def only(self, variation: str) -> "Section":
+        """The same of one of the experiment's variations."""
+        part = copy.copy(self)
+        for name in [
+            name for name in vars(part) if isinstance(vars(Section).get(name), cached_property)
+        ]:
+            delattr(part, name)
+        part.runs = [run for run in self.runs if run.variation == variation]
+        part.name = f"{self.name} ({variation})"
+        return part
 
     @cached_property
     def usable(self) -> list[Run]:
@@ -70,13 +83,15 @@ class Section:
 
     @cached_property
     def episodes(self) -> pd.DataFrame:
-        """A row a training game: `training.Episode`, agent, seed, variation, seconds so far."""
+        """A row per training game: `training.Episode`, agent, seed, variation, and the seconds so
+        far by the clock and of processor time."""
         tables = []
         for run in self.usable:
             table = read_table([run], "episodes.csv")
             timing = read_table([run], "timing.csv")
             if not table.empty:
-                tables.append(table.merge(timing[["episode", "seconds"]], "left", "episode"))
+                columns = ["episode", "seconds", "cpu_seconds"]
+                tables.append(table.merge(timing[columns], "left", "episode"))
         return pd.concat(tables, ignore_index=True) if tables else pd.DataFrame()
 
     @cached_property
@@ -103,30 +118,49 @@ class Section:
 
     @cached_property
     def stored_evaluations(self) -> pd.DataFrame:
-        """A row an evaluation game, of whichever of a run's models and however played."""
+        """A row per evaluation game, of whichever of a run's models and however played."""
         return read_table(self.usable, "evaluations.csv")
 
     @cached_property
     def all_evaluations(self) -> pd.DataFrame:
-        """A row an evaluation game of each run's newest model that was evaluated, at whatever
+        """A row per evaluation game of each run's newest model that was evaluated, at whatever
         difficulty and stickiness."""
         table = self.stored_evaluations
         if table.empty:
             return table
         newest = table.groupby(["experiment", "agent", "seed"]).trained_games.transform("max")
-        minutes = table.frames / FRAMES_A_MINUTE
-        table = table.assign(conceded_a_minute=table.conceded / minutes)
-        return table.assign(scored_a_minute=table.scored / minutes)[table.trained_games == newest]
+        return table[table.trained_games == newest]
 
     @cached_property
+    def styles(self) -> pd.DataFrame:
+        """How the agents box in the checks of greedy play along their training, a row per greedy
+        episode: `runs.styles.Style`, agent, seed, and what it counts per minute."""
+        tables = [
+            pd.read_csv(run.styles).assign(agent=run.agent, seed=run.seed)
+            for run in self.usable
+            if run.styles.exists()
+        ]
+        if not tables:
+            return pd.DataFrame()
+        table = pd.concat(tables, ignore_index=True)
+        minutes = table.frames / FRAMES_PER_MINUTE
+        counted = ("scored", "conceded", "punches")
+        return table.assign(**{f"{name}_per_minute": table[name] / minutes for name in counted})
+
+    @property
     def random_play(self) -> pd.DataFrame:
-        """A row an evaluation game of random moves only, at the experiment's difficulty and
-        stickiness; the same game counts once, whichever models stood by."""
+        """`random_play_at` the experiment's difficulty."""
+        return self.random_play_at(self.params.difficulty)
+
+    def random_play_at(self, difficulty: int) -> pd.DataFrame:
+        """A row per evaluation episode of random moves only, at a difficulty and the experiment's
+        stickiness; the same episode counts once, whichever models stood by."""
         table = self.stored_evaluations
         if table.empty:
             return table
-        p = self.params
-        alike = (table.difficulty == p.difficulty) & (table.sticky_actions == p.sticky_actions)
+        alike = (table.difficulty == difficulty) & (
+            table.sticky_actions == self.params.sticky_actions
+        )
         return table[alike & (table.epsilon == 1.0)].drop_duplicates(["seed", "game"])
 
     @property
@@ -175,7 +209,7 @@ class Section:
         low, high = seeds.min(), seeds.max()
         number = f"{low}" if low == high else f"{low} to {high}"
         few = "; indicative only" if low <= 3 else ""
-        return f"seeds an agent: {number}; {len(self.episodes):,} training games{few}"
+        return f"seeds per agent: {number}; {len(self.episodes):,} training games{few}"
 
 
 class Study:
@@ -224,7 +258,7 @@ def _last(run: Run, file: str, column: str) -> float:
 
 
 def run_table(study: Study) -> pd.DataFrame:
-    """A row a stored run: state, games, agent steps, hours, resumes, commits, parameters' hash."""
+    """A row per stored run: state, games, agent steps, hours, resumes, commits, hash."""
     rows = []
     for run in study.runs:
         state = run.state()

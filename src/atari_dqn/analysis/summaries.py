@@ -1,155 +1,316 @@
 """Sentences of the report that are computed: what the stored runs have shown so far."""
 
+from dataclasses import dataclass
+
+import numpy as np
 import pandas as pd
 
 from atari_dqn import params
-from atari_dqn.analysis.claims import FINDINGS, findings
-from atari_dqn.analysis.statistics import MILESTONES, trailing_mean
+from atari_dqn.analysis.claims import FINDINGS, Claim, findings
+from atari_dqn.analysis.statistics import (
+    BLOCK,
+    MILESTONES,
+    blocks,
+    coverage,
+    interval,
+    iqm,
+    likeness,
+    stratified_interval,
+    trailing_mean,
+)
 from atari_dqn.analysis.study import Section, Study, data
-from atari_dqn.analysis.verdicts import NOT_YET
+from atari_dqn.analysis.verdicts import (
+    SEEDS,
+    Outcome,
+    last_episodes,
+    mean_score,
+    milestone_episodes,
+)
 
-EARLY = 500  # games, before which an agent still acts mostly at random
-RECENT = 100  # games, of which the present score of a run in progress is the mean
+EARLY = 500  # episodes, before which an agent still acts mostly at random
+RECENT = 100  # episodes, of which the score of a run in progress is the mean
+UNJUDGED = [*Outcome.OPEN.value, *Outcome.UNTESTED.value]
+
+
+@dataclass(frozen=True)
+class Score:
+    """What an agent scores while training: the one number that the report calls its score."""
+
+    mean: float  # points, over the last `window` episodes, the mean of its seeds
+    window: int
+    episodes: int  # that it has played; of several seeds, the one that has played fewest
+
+    def __float__(self) -> float:
+        return self.mean
+
+    def __str__(self) -> str:
+        return f"{self.mean:.1f} (last {self.window} of {self.episodes:,})"
+
+
+def score(section: Section, agent: str) -> Score | None:
+    """An agent's score: of finished runs the mean of as many training episodes as the source report
+    takes (500 of 3,000), of others that of the last 100. Seeds in their early episodes do not
+    count; None if all are, or there are none."""
+    if section.episodes.empty:
+        return None
+    own = section.episodes[section.episodes.agent == agent]
+    runs = [run for _, run in own.groupby("seed")]
+    ready = [run for run in runs if len(run) >= min(EARLY, section.params.episodes)]
+    if not ready:
+        return None
+    fewest = min(len(run) for run in ready)
+    finished = len(ready) == len(section.params.seeds) and fewest >= section.params.episodes
+    window = _window(section, finished)
+    return Score(float(np.mean([run.score.tail(window).mean() for run in ready])), window, fewest)
+
+
+def _window(section: Section, finished: bool) -> int:
+    """How many episodes a score is the mean of."""
+    return section.milestone_window if finished else min(RECENT, section.params.episodes)
+
+
+def _scores(section: Section) -> dict[str, Score]:
+    """The agents that have a score, by their titles, the best first."""
+    found = {params.title(agent): score(section, agent) for agent in section.params.agents}
+    there = {agent: one for agent, one in found.items() if one is not None}
+    return dict(sorted(there.items(), key=lambda pair: -pair[1].mean))
 
 
 def headline(study: Study) -> str:
     """One paragraph: how far the runs are, and how the claims stand."""
-    section = study["boxing_final"]
-    judged = findings(study).verdict.value_counts()
-    done = judged.drop(NOT_YET, errors="ignore")
-    games, means = _recent(section)
-    if not games:
+    section, verdicts = study["boxing_final"], findings(study).verdict
+    scores = _scores(section)
+    if not scores:
         played, planned = _played(study)
-        text = f"Training has only begun: {played:,} of {planned:,} planned games are played."
+        text = f"Training has only begun: {played:,} of {planned:,} planned episodes are played."
     else:
-        best, mean, facts = means.index[0], means.iloc[0], section.facts
+        (best, found), *others = scores.items()
+        facts = section.facts
         if section.complete:
             text = (
-                f"The highest mean score in Boxing over the last {_window(section)} of {games:,} "
-                f"training games is that of {best}, {mean:.1f} points"
+                f"The highest mean score in Boxing over the last {found.window} of "
+                f"{found.episodes:,} training episodes is that of {best}, {found.mean:.1f} points"
             )
         else:
-            who = f"the agent with the most points so far, {best}," if len(means) > 1 else best
-            text = f"After {games:,} games of Boxing {who} scores {mean:.1f} points a game while "
-            text += "still exploring"
-        level = "above" if mean > facts.human else "below"
+            who = f"the agent with the most points so far, {best}," if others else best
+            text = f"After {found.episodes:,} episodes of Boxing {who} scores {found.mean:.1f} "
+            text += "points per episode while still exploring"
+        level = "above" if found.mean > facts.human else "below"
         text += f", {level} the human reference of {facts.human:g} (random play: {facts.random:g})."
-    claims = f"{judged.sum()} claims of the source report that runs can judge"
-    if done.empty:
+    testable, judged = _judged(verdicts)
+    claims = f"{testable} claims of the source report that runs can judge"
+    if judged.empty:
         return f"**{text}** Of {claims}, none is judged yet."
-    counted = ", ".join(f"{number} {verdict}" for verdict, number in done.items())
-    so_far = " so far" if NOT_YET in judged else ""
-    return f"**{text}** Of {claims}, {done.sum()} are judged{so_far} ({counted})."
+    counted = ", ".join(f"{number} \u201c{word}\u201d" for word, number in judged.items())
+    so_far = " so far" if judged.sum() < testable else ""
+    return f"**{text}** Of {claims}, {judged.sum()} are judged{so_far} ({counted})."
 
 
-def _window(section: Section) -> int:
-    """How many games a present score is the mean of: of finished runs as many as the claims are
-    about."""
-    return section.milestone_window if section.complete else min(RECENT, section.params.episodes)
-
-
-def _recent(section: Section) -> tuple[int, pd.Series]:
-    """How many games all runs have played, but for those in their early games, and each agent's
-    mean score over the last of these, the best first. 0 games and no scores if all are early."""
-    none, episodes = (0, pd.Series(dtype=float)), section.episodes
-    if episodes.empty:
-        return none
-    played = episodes.groupby(["agent", "seed"]).episode.transform("max")
-    ready = played >= min(EARLY, section.params.episodes)
-    if not ready.any():
-        return none
-    games = int(played[ready].min())
-    recent = episodes[ready & episodes.episode.between(games - _window(section) + 1, games)]
-    means = recent.groupby("agent").score.mean().rename(index=params.title)
-    return games, means.sort_values(ascending=False)
+def _judged(verdicts: pd.Series) -> tuple[int, pd.Series]:
+    """How many claims runs can judge, and how many have each of the verdicts that say something."""
+    testable = int((~verdicts.isin(Outcome.UNTESTED.value)).sum())
+    return testable, verdicts[~verdicts.isin(UNJUDGED)].value_counts()
 
 
 def _played(study: Study) -> tuple[int, int]:
-    """Training games of all experiments: stored, and planned."""
+    """Training episodes of all experiments: stored, and planned."""
     sections = study.sections.values()
     planned = sum(len(each.runs) * each.params.episodes for each in sections)
     return sum(len(each.episodes) for each in sections), planned
 
 
 def conclusion(study: Study) -> str:
-    """A sentence a game on how the agents compare, and a list of the claims that are judged."""
+    """A sentence per game on how the agents compare, and a list of the claims that are judged."""
     said = []
     for name in ("boxing_final", "breakout_final"):
         section = study[name]
-        games, means = _recent(section)
-        if not games:
+        if not (scores := _scores(section)):
             continue
-        scores = ", ".join(f"{agent} {mean:.1f}" for agent, mean in means.items())
-        text = f"In {section.facts.title}, mean scores over the last {_window(section)} of "
-        text += f"{games:,} games are {scores} (human {section.facts.human:g})."
+        listed = ", ".join(f"{agent} {found}" for agent, found in scores.items())
+        text = f"In {section.facts.title}, mean scores in training are {listed}, "
+        text += f"and a human's {section.facts.human:g}."
         played = section.episodes.groupby("agent").episode.max().rename(index=params.title)
         for agent in map(params.title, section.params.agents):
             if agent not in played:
                 text += f" {agent} has not begun."
-            elif agent not in means:
-                text += f" {agent} has played {played[agent]:,} games only."
+            elif agent not in scores:
+                text += f" {agent} has played {played[agent]:,} episodes only."
         said.append(f"{text} {beside_source(section)}".strip())
     if not said:
         played, planned = _played(study)
         said.append(
-            f"With {played / planned:.1%} of the planned games played, no agent can be called the "
-            "better one yet. What stands already does not depend on them: what the literature "
+            f"With {played / planned:.1%} of the planned episodes played, no agent can be called "
+            "the better one yet. What stands already does not depend on them: what the literature "
             "says (@tbl-literature), how the two games work (@sec-games), where the source report "
             "leaves a choice open (@tbl-deviations), and what training costs (@sec-speed)."
         )
+    if together := over_seeds(study):
+        said.append(together)
     found = findings(study)
-    for verdict, rows in found[found.verdict != NOT_YET].groupby("verdict", sort=False):
+    for verdict, rows in found[~found.verdict.isin(UNJUDGED)].groupby("verdict", sort=False):
         said.append(f"*{str(verdict).capitalize()}*: {'; '.join(rows.claim)}.")
     return "\n\n".join(said)
+
+
+def over_seeds(study: Study) -> str:
+    """A sentence on the agents' final scores in both games over all seeds: interquartile means with
+    stratified bootstrap intervals (Agarwal et al., 2021). Empty with fewer than three seeds, or
+    while one is unfinished."""
+    sections = [study[name] for name in ("boxing_final", "breakout_final")]
+    said = []
+    for agent in sections[0].params.agents:
+        groups = [_normalised(section, agent) for section in sections]
+        if any(
+            len(group) < max(SEEDS, len(section.params.seeds))
+            for group, section in zip(groups, sections, strict=True)
+        ):
+            return ""
+        low, high = stratified_interval(iqm, *groups)
+        said.append(f"{params.title(agent)} {iqm(*groups):.2f} ({low:.2f} to {high:.2f})")
+    return (
+        "Over both games and all seeds, the interquartile means of the final scores are "
+        f"{', '.join(said)}, where 0 is random play and 1 a human."
+    )
+
+
+def _normalised(section: Section, agent: str) -> np.ndarray:
+    """Each seed's final score, where 0 is random play and 1 a human: float64 [seeds]."""
+    scores, facts = section.scores(agent, *last_episodes(section)), section.facts
+    means = scores.mean(axis=1) if scores.size else np.empty(0)
+    return (means - facts.random) / (facts.human - facts.random)
+
+
+def head_start(study: Study, experiment: str, base: str) -> str:
+    """A sentence on how much more random play scores at an experiment's difficulty than at that of
+    another; empty until it has been evaluated at both."""
+    sections = study[experiment], study[base]
+    means, said = [], []
+    for section in sections:
+        difficulty = section.params.difficulty
+        played = pd.concat([each.random_play_at(difficulty) for each in sections])
+        if len(played) < 2:
+            return ""
+        low, high = interval(played.score.to_numpy())
+        means.append(played.score.mean())
+        said.append(f"{means[-1]:.1f} ({low:.1f} to {high:.1f}) at difficulty {difficulty}")
+    gap = means[0] - means[1]
+    return (
+        f"Random play scores {' and '.join(said)}: an agent of these runs starts {abs(gap):.1f} "
+        f"points {'higher' if gap > 0 else 'lower'}."
+    )
 
 
 def cards(study: Study) -> str:
     """Four numbers, as a division of class `card`."""
     section = study["boxing_final"]
-    judged = findings(study).verdict
-    games, means = _recent(section)
+    testable, judged = _judged(findings(study).verdict)
+    best = next(iter(_scores(section).items()), None)
     numbers = [
         (
-            f"{means.iloc[0]:.1f}",
-            f"points in Boxing: {means.index[0]}, mean of {_window(section)} training games",
+            f"{best[1].mean:.1f}",
+            f"points in Boxing: {best[0]}, mean of the last {best[1].window} of "
+            f"{best[1].episodes:,} training episodes",
         )
-        if games
-        else ("–", f"points in Boxing: no agent has played {EARLY} games"),
+        if best
+        else ("–", f"points in Boxing: no agent has played {EARLY} episodes"),
         (f"{section.facts.human:g}", "points: a human tester's mean"),
-        (f"{_played(study)[0]:,}", "training games stored"),
-        (f"{(judged != NOT_YET).sum()} of {len(judged)}", "claims of the source report judged"),
+        (f"{_played(study)[0]:,}", "training episodes stored"),
+        (f"{judged.sum()} of {testable}", "claims of the source report judged"),
     ]
     cells = "\n".join(f"::: {{}}\n**{number}** {what}\n:::" for number, what in numbers)
     return f":::: {{.card}}\n{cells}\n::::"
 
 
+TILES = {Outcome.YES: "yes", Outcome.NO: "no", Outcome.UNCLEAR: "mixed"}
+
+
+def board(study: Study) -> str:
+    """The verdicts at a glance: a division of class `board` with one of class `tile` per claim,
+    and of class `yes`, `no`, `mixed` or `open`."""
+    tiles = []
+    for number, claim in enumerate(FINDINGS, start=1):
+        kind = TILES.get(claim.judge(study).outcome, "open")
+        lines = [f"**{number}** {claim.short}.", _numbers(study, claim)]
+        lines.append(f"[Section](#{claim.section}){{.more}}")
+        tiles.append(f"::: {{.tile .{kind}}}\n" + "\n\n".join(filter(None, lines)) + "\n:::")
+    return "::: {.board}\n" + "\n\n".join(tiles) + "\n:::"
+
+
+def _numbers(study: Study, claim: Claim) -> str:
+    """The source report's scores that a claim is about, and ours with their intervals; empty if it
+    gives none, or our runs are not as long as its own."""
+    agents, games = ({score[place] for score in claim.scores} for place in (1, 0))
+    theirs, ours, reached = [], [], False
+    for experiment, agent, milestone in claim.scores:
+        section = study[experiment]
+        if section.params.episodes != MILESTONES[-1]:
+            return ""
+        named = f"{params.title(agent)} " * (len(agents) > 1)
+        named = f"{section.facts.title} " * (len(games) > 1) + named
+        theirs.append(f"{named}{data('source_report')[experiment][agent][milestone - 1]:.1f}")
+        found = mean_score(section, agent, *milestone_episodes(section, milestone))
+        ours.append(f"{named}{'–' if found is None else found}")
+        reached |= found is not None
+    if not theirs:
+        return ""
+    here = ", ".join(ours) if reached else "not there yet"
+    return f"Source: {', '.join(theirs)}. Here: {here}."
+
+
+def neighbours(study: Study) -> str:
+    """A sentence on how much successive blocks of training episodes resemble one another in the
+    stored runs, and how far the intervals are to be trusted then."""
+    found, number = [], 0
+    for section in study.sections.values():
+        window = section.milestone_window
+        if section.episodes.empty or window < 3 * BLOCK:
+            continue
+        for _, run in section.episodes.groupby(["variation", "agent", "seed"]):
+            for last in range(window, len(run) + 1, window):
+                means = blocks(run.score.to_numpy()[last - window : last])
+                found.append(likeness(means))
+                number = max(number, len(means))
+    if not found:
+        return ""
+    middle, most = float(np.median(found)), max(found)
+    return (
+        f"Between successive blocks of {BLOCK} training episodes the correlation is measured in "
+        f"{len(found)} stretches of our runs: {min(found):.2f} to {most:.2f}, with a median of "
+        f"{middle:.2f}. At that median, an interval of {number} blocks that is said to hold the "
+        f"mean in 95% of cases does so in {coverage(middle, number):.0%} (simulated); at the "
+        f"highest, in {coverage(most, number):.0%}."
+    )
+
+
 def reading(study: Study, experiment: str) -> str:
-    """What an experiment has shown: a line a run, and the verdicts on the claims about it.
+    """What an experiment has shown: a line per run, and the verdicts on the claims about it.
 
     Empty where nothing can be said yet.
     """
     section = study[experiment]
     lines = []
     if not section.episodes.empty:
-        for (agent, seed), games in section.episodes.groupby(["agent", "seed"], sort=False):
+        for (agent, seed), played in section.episodes.groupby(["agent", "seed"], sort=False):
             seeds = f", seed {seed}" if len(section.params.seeds) > 1 else ""
             greedy = [_of(table, agent, seed) for table in (section.evaluations, section.values)]
-            said = _progress(section, games) + _without_exploring(*greedy)
+            said = _progress(section, played) + _without_exploring(*greedy)
             lines.append(f"- {params.title(str(agent))}{seeds}{said}.")
         if beside := beside_source(section):
             lines.append(f"- {beside}")
-    waiting = []
+    waiting: list[str] = []
+    untested: list[str] = []
     for number, claim in enumerate(FINDINGS, start=1):
         if experiment not in claim.experiments:
             continue
         found = claim.judge(study)
-        if found.verdict == NOT_YET:
+        said = f"- *{found.verdict.capitalize()}*: claim {number}, {claim.text}. ({found.evidence})"
+        if found.outcome == Outcome.OPEN:
             waiting.append(str(number))
         else:
-            said = f"{claim.text}. ({found.evidence})"
-            lines.append(f"- *{found.verdict.capitalize()}*: claim {number}, {said}")
+            (untested if found.outcome == Outcome.UNTESTED else lines).append(said)
     if not lines:
         return ""
+    lines += untested
     if waiting:
         noun, verb = ("claims", "are") if len(waiting) > 1 else ("claim", "is")
         lines.append(f"- Of @tbl-findings, {noun} {', '.join(waiting)} {verb} still open.")
@@ -162,37 +323,39 @@ def _of(table: pd.DataFrame, agent: object, seed: object) -> pd.DataFrame:
     return table if table.empty else table[(table.agent == agent) & (table.seed == seed)]
 
 
-def _progress(section: Section, games: pd.DataFrame) -> str:
+def _progress(section: Section, played: pd.DataFrame) -> str:
     """How a run has gone: where it stands, when it passed the human score, how steady it was."""
-    window, human = min(RECENT, section.params.episodes), section.facts.human
-    number = int(games.episode.max())
-    means = trailing_mean(games.set_index("episode").score, window).dropna()
-    if means.empty:
-        return f" has played {number:,} games, too few for a mean of {window}"
+    number, human = int(played.episode.max()), section.facts.human
+    finished = number >= section.params.episodes
+    scores, window = played.set_index("episode").score, _window(section, finished)
+    if number < window:
+        return f" has played {number:,} episodes, too few for a mean of {window}"
     text = (
-        f" scores {means.iloc[-1]:.1f} points a game over the last {window} of {number:,} games, "
-        f"{games.epsilon.iloc[-1]:.0%} of its actions being random"
+        f" scores {scores.tail(window).mean():.1f} points per episode over the last {window} of "
+        f"{number:,} episodes, {played.epsilon.iloc[-1]:.0%} of its actions being random"
     )
+    recent = min(RECENT, section.params.episodes)
+    means = trailing_mean(scores, recent).dropna()
     above = means[means > human]
     if len(above) and section.default_difficulty:
-        text += f"; the mean of {window} games first passed the human {human:g} after game "
+        text += f"; the mean of {recent} episodes first passed the human {human:g} after episode "
         text += f"{above.index[0]:,}"
     fall = (means.cummax() - means).max()
-    so_far = "" if number >= section.params.episodes else " so far"
+    so_far = "" if finished else " so far"
     return f"{text}; the largest drop of that mean{so_far} is {fall:.1f} points"
 
 
 def _without_exploring(evaluated: pd.DataFrame, checks: pd.DataFrame) -> str:
-    """What a run scores without random moves: evaluated, or, if that is long ago, in the few greedy
-    games along the way."""
+    """What a run scores without random moves: in its evaluation, or, if that is long ago, in the
+    few greedy episodes along the way."""
     tried = 0 if evaluated.empty else int(evaluated.trained_games.max())
     checked = 0 if checks.empty else int(checks.episode.max())
     if not tried and not checked:
         return ""
     fresh = tried >= checked - RECENT
-    count, games = (len(evaluated), tried) if fresh else (params.VALUE_GAMES, checked)
+    count, trained = (len(evaluated), tried) if fresh else (params.VALUE_GAMES, checked)
     score = evaluated.score.mean() if fresh else checks.score.iloc[-1]
-    return f". Playing {count} games greedily after {games:,} of training, it scored {score:.1f}"
+    return f". Evaluated after {trained:,} episodes ({count} greedy ones): {score:.1f}"
 
 
 def beside_source(section: Section) -> str:
@@ -205,8 +368,8 @@ def beside_source(section: Section) -> str:
             first = milestone - section.milestone_window + 1
             ours = section.scores(agent, first, milestone)
             if score is not None and len(ours):
-                games = f"games {first:,} to {milestone:,}"
-                said.append(f"{params.title(agent)} {ours.mean():.1f} and {score:.1f} ({games})")
+                which = f"episodes {first:,} to {milestone:,}"
+                said.append(f"{params.title(agent)} {ours.mean():.1f} and {score:.1f} ({which})")
                 less |= ours.mean() < score
                 break
     if not said:
@@ -215,7 +378,7 @@ def beside_source(section: Section) -> str:
     if less:
         text += (
             " (It does not say how often its network was updated, which decides how much is "
-            f"learned in a game; ours is every {section.params.update_period} agent steps.)"
+            f"learned in an episode; ours is every {section.params.update_period} agent steps.)"
         )
     return text
 

@@ -1,17 +1,22 @@
 """Verdicts: what the stored runs say on a claim, with the evidence.
 
-A verdict follows from a 95% interval of a mean, or of the difference of two: `supported` if the
-whole interval lies on the claim's side of zero, `contradicted` if it lies on the other,
-`inconclusive` if it holds zero, `open` while a run that the claim is about has not got as far.
+A verdict follows from a 95% interval of a mean, or of the difference of two: it is for the claim if
+the whole interval lies on the claim's side of zero, against it if it lies on the other, unclear if
+the interval holds zero, and open while a run that the claim is about has not got as far. (Of
+intervals made in this way, about 95 of 100 hold the mean of endlessly many such episodes.)
 
-The interval is over seeds (Welch's t) where both sides have three or more. With fewer it is over
-blocks of 50 training games, of which those of two runs that hold the same games are paired: it
-then says how steady the difference is within these runs, and nothing about other seeds. Greedy
-games of finished runs are compared likewise, or game by game (Welch's t); of games that repeat one
+The words say how much that means. From three seeds on each side, the interval is over seeds
+(Welch's t: with so few, a bootstrap of seeds is too narrow), and a claim about an agent is
+"supported" or "contradicted". With fewer, the interval is over blocks of 50 training episodes,
+those of the same episodes paired, or over checks of greedy play: it tells how steady a difference
+is within these runs and nothing about other seeds, and so does the word. Greedy episodes of
+finished runs are compared likewise, or episode by episode (Welch's t); of episodes that repeat one
 another, which few openings and hardly any chance bring about, only one counts as evidence.
 """
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from enum import Enum
 from typing import Any
 
 import numpy as np
@@ -21,50 +26,121 @@ from atari_dqn import params
 from atari_dqn.analysis.statistics import (
     BLOCK,
     blocks,
+    probability_of_improvement,
     series_interval,
+    stratified_interval,
     student_interval,
     welch_interval,
 )
 from atari_dqn.analysis.study import Section, Study
 
-SUPPORTED, CONTRADICTED = "supported", "contradicted"
-INCONCLUSIVE, NOT_YET = "inconclusive", "open"
 DQN, DOUBLE, DUELING = "dqn", "double_dqn", "dueling_double_dqn"
 SEEDS = 3  # from which an interval is over seeds
 
 
+class Outcome(Enum):
+    """What runs say of a claim: in words for few seeds, and for `SEEDS` and more."""
+
+    YES = ("in these runs: yes", "supported")
+    NO = ("in these runs: no", "contradicted")
+    UNCLEAR = ("in these runs: unclear", "inconclusive")
+    OPEN = ("open", "open")
+    UNTESTED = ("not tested", "not tested")
+
+
 @dataclass(frozen=True)
 class Verdict:
-    """`evidence` is a sentence of computed numbers."""
+    """`evidence` is a sentence of computed numbers; `seeds` is how many it rests on, on the side
+    that has fewer."""
 
-    verdict: str
+    outcome: Outcome
     evidence: str
+    seeds: int = 1
+
+    @property
+    def verdict(self) -> str:
+        """The outcome in words."""
+        return self.outcome.value[self.seeds >= SEEDS]
 
 
 def all_of(verdicts: list[Verdict]) -> Verdict:
     """A claim of several parts stands if every part does, and falls with any of them."""
-    kinds = [verdict.verdict for verdict in verdicts]
-    ranked = (CONTRADICTED, NOT_YET, INCONCLUSIVE, SUPPORTED)
-    worst = next(kind for kind in ranked if kind in kinds)
+    outcomes = [verdict.outcome for verdict in verdicts]
+    ranked = (Outcome.NO, Outcome.OPEN, Outcome.UNCLEAR, Outcome.YES)
+    worst = next(outcome for outcome in ranked if outcome in outcomes)
     evidence = dict.fromkeys(
         verdict.evidence
-        for verdict in verdicts
-        if worst != NOT_YET or verdict.verdict == NOT_YET  # what is there may change the picture
+        for verdict in verdicts  # what is there may change the picture
+        if worst != Outcome.OPEN or verdict.outcome == Outcome.OPEN
     )
-    return Verdict(worst, "; ".join(evidence))
+    fewest = min(verdict.seeds for verdict in verdicts)
+    most = max(verdict.seeds for verdict in verdicts if verdict.outcome == worst)
+    return Verdict(worst, "; ".join(evidence), most if worst == Outcome.NO else fewest)
 
 
-def exceeds(section: Section, agent: str, first: int, last: int, score: float) -> Verdict:
-    """That an agent's games `first` to `last` score more than `score` on average."""
+Rule = Callable[[float, float], Outcome]  # what an interval of a difference says of a claim
+
+
+def above(margin: float) -> Rule:
+    """The rule for "more, by more than `margin`"."""
+
+    def rule(low: float, high: float) -> Outcome:
+        if low > margin:
+            return Outcome.YES
+        return Outcome.NO if high < margin else Outcome.UNCLEAR
+
+    return rule
+
+
+MORE = above(0.0)
+
+
+def apart(margin: float) -> Rule:
+    """The rule for "another, by more than `margin` up or down"."""
+
+    def rule(low: float, high: float) -> Outcome:
+        if low > margin or high < -margin:
+            return Outcome.YES
+        return Outcome.NO if -margin < low and high < margin else Outcome.UNCLEAR
+
+    return rule
+
+
+@dataclass(frozen=True)
+class Mean:
+    """A mean training score, and its 95% interval."""
+
+    mean: float
+    low: float
+    high: float
+    seeds: int
+
+    def __float__(self) -> float:
+        return self.mean
+
+    def __str__(self) -> str:
+        return f"{self.mean:.1f} ({self.low:.1f} to {self.high:.1f})"
+
+
+def mean_score(section: Section, agent: str, first: int, last: int) -> Mean | None:
+    """The mean of an agent's training episodes `first` to `last`; None while a seed lacks any."""
     scores = section.scores(agent, first, last)
     if not _enough(section, scores):
-        return _not_yet(section)
+        return None
     if len(scores) >= SEEDS:
         low, high = student_interval(scores.mean(axis=1))
     else:
         low, high = series_interval(blocks(scores.mean(axis=0)))
-    said = f"{params.title(agent)} {scores.mean():.1f} ({low:.1f} to {high:.1f})"
-    return Verdict(_side(low - score, high - score), f"{said} against {score:g}")
+    return Mean(float(scores.mean()), low, high, len(scores))
+
+
+def exceeds(section: Section, agent: str, first: int, last: int, score: float) -> Verdict:
+    """That an agent's episodes `first` to `last` score more than `score` on average."""
+    found = mean_score(section, agent, first, last)
+    if found is None:
+        return _not_yet(section)
+    said = f"{params.title(agent)} {found} against {score:g}"
+    return Verdict(above(score)(found.low, found.high), said, found.seeds)
 
 
 def compare_scores(
@@ -72,18 +148,18 @@ def compare_scores(
     agents: tuple[str, str],
     first: int,
     last: int,
-    margin: float = 0.0,
+    rule: Rule = MORE,
     gain: bool = False,
 ) -> Verdict:
-    """That the first of two agents, each in its section, scores more in games `first` to `last`,
-    by more than `margin`. With `gain`, what each scores above its own first 50 games, which
-    are then left out; `first` must be 1."""
+    """How the scores of two agents, each in its section, differ in episodes `first` to `last`; by
+    default, that the first scores more. With `gain`, what each scores above its own first 50
+    episodes, which are then left out; `first` must be 1."""
     scores = [
         section.scores(agent, first, last) for section, agent in zip(sections, agents, strict=True)
     ]
     if not all(map(_enough, sections, scores)):
         return _not_yet(*dict.fromkeys(sections))
-    doubt = 0.0  # of the first games' means, points: half an interval
+    doubt = 0.0  # of the first episodes' means, points: half an interval
     if gain:
         begins = [found[:, :BLOCK] for found in scores]
         errors = [np.var(begin) / begin.size for begin in begins]
@@ -93,58 +169,66 @@ def compare_scores(
             for found, begin in zip(scores, begins, strict=True)
         ]
     one, other = scores
-    if min(len(one), len(other)) >= SEEDS:
-        low, high = welch_interval(one.mean(axis=1), other.mean(axis=1))
-    else:
-        low, high = series_interval(blocks(one.mean(axis=0) - other.mean(axis=0)))
+    seeds = min(len(one), len(other))
+    low, high = _difference(blocks(one), blocks(other))
+    if seeds < SEEDS:
         middle, half = (low + high) / 2, float(np.hypot((high - low) / 2, doubt))
         low, high = middle - half, middle + half
     means = _against(sections, agents, [found.mean() for found in scores])
-    return Verdict(
-        _side(low - margin, high - margin), f"{means}, difference {low:.1f} to {high:.1f}"
-    )
+    said = f"{means}, difference {low:.1f} to {high:.1f}"
+    if seeds >= SEEDS:
+        said += f"; {_improvement(one.mean(axis=1), other.mean(axis=1))}"
+    return Verdict(rule(low, high), said, seeds)
+
+
+def _difference(one: np.ndarray, other: np.ndarray) -> tuple[float, float]:
+    """95% interval of the difference of two means of float64 [seeds, points in time]: over seeds,
+    or, if there are few, over points, those of the same time paired."""
+    if min(len(one), len(other)) >= SEEDS:
+        return welch_interval(one.mean(axis=1), other.mean(axis=1))
+    return series_interval(one.mean(axis=0) - other.mean(axis=0))
+
+
+def _improvement(one: np.ndarray, other: np.ndarray) -> str:
+    """How often a seed of the first agent is above one of the second (Agarwal et al., 2021)."""
+    chance = probability_of_improvement(one, other)
+    low, high = stratified_interval(probability_of_improvement, one, other)
+    return f"probability of improvement {chance:.0%} ({low:.0%} to {high:.0%})"
 
 
 def _against(sections: tuple[Section, Section], agents: tuple[str, str], means: list[float]) -> str:
     """The two sides of a comparison, by what tells them apart."""
     names = [params.title(agent) for agent in agents]
     if agents[0] == agents[1]:
-        names = [f"`{section.params.experiment}`" for section in sections]
+        names = [section.name for section in sections]
         names[0] = f"{params.title(agents[0])}: {names[0]}"
     return " against ".join(f"{name} {mean:.1f}" for name, mean in zip(names, means, strict=True))
 
 
 def _enough(section: Section, scores: np.ndarray) -> bool:
-    """Whether all seeds have played the games [seeds, games], and there are blocks for a line."""
+    """Whether all seeds have played the episodes [seeds, episodes], and there are blocks for a
+    line."""
     return len(scores) == len(section.params.seeds) and scores.shape[1] >= 3 * BLOCK
 
 
 def _not_yet(*sections: Section) -> Verdict:
-    shares = [
-        f"`{each.params.experiment}` {_share(each)}" for each in sections if not each.complete
-    ]
-    said = f"games played: {', '.join(shares)}" if shares else "too few games for an interval"
-    return Verdict(NOT_YET, said)
+    shares = [f"{each.name} {_share(each)}" for each in sections if not each.complete]
+    said = f"episodes played: {', '.join(shares)}" if shares else "too few episodes for an interval"
+    return Verdict(Outcome.OPEN, said)
 
 
 def _share(section: Section) -> str:
     return f"{section.share:.0%}" if section.share >= 0.01 or not section.share else "under 1%"
 
 
-def _side(low: float, high: float) -> str:
-    if low > 0:
-        return SUPPORTED
-    return CONTRADICTED if high < 0 else INCONCLUSIVE
-
-
-def _last(section: Section) -> tuple[int, int]:
-    """The games that a final score is the mean of."""
+def last_episodes(section: Section) -> tuple[int, int]:
+    """The episodes that a final score is the mean of."""
     episodes = section.params.episodes
     return episodes - section.milestone_window + 1, episodes
 
 
-def _milestone(section: Section, number: int) -> tuple[int, int]:
-    """The games up to the `number`-th milestone (1 to 6)."""
+def milestone_episodes(section: Section, number: int) -> tuple[int, int]:
+    """The episodes up to the `number`-th milestone (1 to 6)."""
     return (number - 1) * section.milestone_window + 1, number * section.milestone_window
 
 
@@ -155,7 +239,7 @@ def human_level(
     section = study[experiment]
     return all_of(
         [
-            exceeds(section, agent, *_milestone(section, milestone), section.facts.human)
+            exceeds(section, agent, *milestone_episodes(section, milestone), section.facts.human)
             for agent in agents or section.params.agents
         ]
     )
@@ -166,183 +250,319 @@ def compare_agents(
 ) -> Verdict:
     """One agent is better than each of the others at a milestone."""
     section = study[experiment]
-    games = _milestone(section, milestone)
-    return all_of([compare_scores((section, section), (best, other), *games) for other in others])
+    episodes = milestone_episodes(section, milestone)
+    return all_of(
+        [compare_scores((section, section), (best, other), *episodes) for other in others]
+    )
 
 
 def compare_training(
     study: Study, first: str, second: str, milestone: int | None = None, **how: Any
 ) -> list[Verdict]:
     """That an agent scores more in the first experiment than in the second, up to a milestone of
-    the longer one or at the last games of the shorter: a verdict for every agent. `how` is for
+    the longer one or at the last episodes of the shorter: a verdict for every agent. `how` is for
     `compare_scores`."""
     pair = (study[first], study[second])
     shorter, longer = sorted(pair, key=lambda section: section.params.episodes)
-    games = _last(shorter) if milestone is None else _milestone(longer, milestone)
-    return [compare_scores(pair, (agent, agent), *games, **how) for agent in _shared(pair)] or [
+    episodes = (
+        last_episodes(shorter) if milestone is None else milestone_episodes(longer, milestone)
+    )
+    return [compare_scores(pair, (agent, agent), *episodes, **how) for agent in _shared(pair)] or [
         _ALONE
     ]
 
 
-_ALONE = Verdict(NOT_YET, "no agent is trained both ways")  # as in the small profiles
+_ALONE = Verdict(Outcome.OPEN, "no agent is trained both ways")  # as in the small profiles
 
 
 def _shared(pair: tuple[Section, Section]) -> list[str]:
     return [agent for agent in pair[0].params.agents if agent in pair[1].params.agents]
 
 
-def compare_evaluations(
-    study: Study, first: str, second: str, column: str = "score"
-) -> list[Verdict]:
-    """That an agent's greedy games after training in the first experiment have more of something
-    than those after training in the second: a verdict for every agent."""
+def beats_variation(study: Study, experiment: str, sweep: str, variation: str) -> Verdict:
+    """The agent of a sweep scores more in its unchanged set-up than with one change, over all
+    episodes of the sweep."""
+    changed = study[sweep].only(variation)
+    if not changed.runs:
+        return Verdict(Outcome.OPEN, f"no run of {changed.name}")
+    agent, last = changed.params.agents[0], changed.params.episodes
+    return compare_scores((study[experiment], changed), (agent, agent), 1, last)
+
+
+def improves(study: Study, experiment: str, agent: str, until: int, episodes: int) -> Verdict:
+    """An agent scores more in the last `episodes` of its training than in as many up to episode
+    `until`."""
+    section, last = study[experiment], study[experiment].params.episodes
+    scores = section.scores(agent, 1, last)
+    if not _enough(section, scores) or min(until, last - until, episodes) < 3 * BLOCK:
+        return _not_yet(section)
+    late, before = scores[:, last - episodes :], scores[:, max(0, until - episodes) : until]
+    low, high = _difference(blocks(late), blocks(before))
+    said = f"{params.title(agent)} over the last {episodes} of {last:,} episodes, and up to "
+    said += f"{until:,}: {late.mean():.1f} against {before.mean():.1f}, difference {low:.1f} to "
+    said += f"{high:.1f}"
+    return Verdict(MORE(low, high), said, len(scores))
+
+
+def compare_evaluations(study: Study, first: str, second: str) -> list[Verdict]:
+    """That an agent's greedy episodes after training in the first experiment score more than those
+    after training in the second: a verdict for every agent."""
     pair = (study[first], study[second])
     verdicts = []
     for agent in _shared(pair):
-        games = [_greedy_games(section, agent) for section in pair]
+        played = [_greedy_episodes(section, agent) for section in pair]
         if any(
             len(found) < 2 or found.seed.nunique() < len(section.params.seeds)
-            for section, found in zip(pair, games, strict=True)
+            for section, found in zip(pair, played, strict=True)
         ):
             verdicts.append(_not_yet(*pair))
             continue
-        if min(found.seed.nunique() for found in games) >= SEEDS:
-            one, other = (found.groupby("seed")[column].mean().to_numpy() for found in games)
+        seeds = min(found.seed.nunique() for found in played)
+        if seeds >= SEEDS:
+            one, other = (found.groupby("seed").score.mean().to_numpy() for found in played)
             low, high = welch_interval(one, other)
         else:
-            one, other = (found[column].to_numpy(float) for found in games)
-            low, high = welch_interval(one, other, (_distinct(games[0]), _distinct(games[1])))
+            one, other = (found.score.to_numpy(float) for found in played)
+            low, high = welch_interval(one, other, (_distinct(played[0]), _distinct(played[1])))
         means = _against(pair, (agent, agent), [one.mean(), other.mean()])
-        name = column.replace("_", " ")
-        said = f"{name}, greedy: {means}, difference {low:.1f} to {high:.1f}"
-        verdicts.append(Verdict(_side(low, high), said))
+        said = f"evaluated: {means}, difference {low:.1f} to {high:.1f}"
+        verdicts.append(Verdict(MORE(low, high), said, seeds))
     return verdicts or [_ALONE]
 
 
-def _greedy_games(section: Section, agent: str) -> pd.DataFrame:
-    """The evaluation games of the agent's finished runs, played as it was trained."""
+def _greedy_episodes(section: Section, agent: str) -> pd.DataFrame:
+    """The evaluation episodes of the agent's finished runs, played as it was trained."""
     table = section.as_trained(section.final_evaluations)
     return table if table.empty else table[table.agent == agent]
 
 
-def _distinct(games: pd.DataFrame) -> int:
-    """How many of some evaluation games do not repeat another."""
-    return len(games.drop_duplicates(["seed", "score", "length", "distance"]))
+def _distinct(episodes: pd.DataFrame) -> int:
+    """How many of some evaluation episodes do not repeat another."""
+    return len(episodes.drop_duplicates(["seed", "score", "length", "distance"]))
 
 
 def compare_greedy_checks(study: Study, first: str, second: str) -> list[Verdict]:
     """That an agent learns more in the first experiment than in the second: what it scores greedily
-    every hundred games, for as long as the shorter one trains, after the same games of training."""
+    every hundred episodes, for as long as the shorter one trains, after the same training."""
     pair = (study[first], study[second])
     until = min(section.params.episodes for section in pair)
     verdicts = []
     for agent in _shared(pair):
-        one, other = (_checks(section, agent, until) for section in pair)
-        gaps = (one - other).dropna()
-        if len(gaps) < 3:
+        one, other = (_checks(section.values, section, agent, until, "score") for section in pair)
+        common = one.columns.intersection(other.columns)
+        if len(common) < 3:
             verdicts.append(_not_yet(*pair))
             continue
-        low, high = series_interval(gaps.to_numpy())
-        means = _against(pair, (agent, agent), [one.mean(), other.mean()])
-        said = f"greedy games along the way: {means}, difference {low:.1f} to {high:.1f}"
-        verdicts.append(Verdict(_side(low, high), said))
+        sides = one[common].to_numpy(), other[common].to_numpy()
+        low, high = _difference(*sides)
+        means = _against(pair, (agent, agent), [found.mean() for found in sides])
+        said = f"greedy episodes along the way: {means}, difference {low:.1f} to {high:.1f}"
+        verdicts.append(Verdict(MORE(low, high), said, min(map(len, sides))))
     return verdicts or [_ALONE]
 
 
-def _checks(section: Section, agent: str, until: int) -> pd.Series:
-    """Greedy scores along an agent's training, by games of it; empty until all seeds have played
-    that many."""
+def _checks(
+    table: pd.DataFrame, section: Section, agent: str, until: int, column: str
+) -> pd.DataFrame:
+    """A column of the checks along an agent's training, a row per seed and a column per episode up
+    to `until`; empty until all seeds have played that many."""
     played = section.scores(agent, until, until)
-    if section.values.empty or len(played) < len(section.params.seeds):
-        return pd.Series(dtype=float)
-    own = section.values[(section.values.agent == agent) & (section.values.episode <= until)]
-    return own.groupby("episode").score.mean()
+    if table.empty or len(played) < len(section.params.seeds):
+        return pd.DataFrame()
+    own = table[(table.agent == agent) & (table.episode <= until)]
+    return own.groupby(["seed", "episode"])[column].mean().unstack().dropna(axis=1)
+
+
+SAME_SCORE = 5.0  # points; checks that score no further apart count as of the same skill
+
+
+def compare_style(study: Study, first: str, second: str, measure: str) -> list[Verdict]:
+    """That an agent's boxing has more of `measure` (a column of `Section.styles`) with the settings
+    of the first experiment than with those of the second: a verdict for every agent.
+
+    Whatever the settings, an agent that learns to box concedes less and stands elsewhere than
+    before: two checkpoints of one run can differ by more than two settings do. So a measure of
+    style is one of skill too, and two comparisons must agree. The first is after the same training:
+    the checks of greedy play in the second half of the shorter run, beside those of the other run
+    after as many episodes. The second is at the same skill: each of these checks beside that check
+    of the other run, from any part of its training, whose score is nearest, if it is within
+    `SAME_SCORE` points. (Of two agents with the same score, the one that concedes more points
+    scores more, too: it takes more risks.) Where hardly any checks score alike, the difference may
+    be one of skill alone, and the verdict is unclear.
+    """
+    pair = (study[first], study[second])
+    until = min(section.params.episodes for section in pair)
+    verdicts = []
+    for agent in _shared(pair):
+        tables = [
+            [_checks(section.styles, section, agent, until, name) for name in (measure, "score")]
+            for section in pair
+        ]
+        late = [
+            episode
+            for episode in tables[0][0].columns.intersection(tables[1][0].columns)
+            if episode > until / 2
+        ]
+        if len(late) < 3:
+            verdicts.append(_not_measured(*pair))
+            continue
+        (one, score), (other, other_score) = (
+            [table[late].to_numpy() for table in found] for found in tables
+        )
+        low, high = _difference(one, other)
+        means = _against(pair, (agent, agent), [one.mean(), other.mean()])
+        said = f"{measure.replace('_', ' ')} after the same training, scoring {score.mean():.1f} "
+        said += f"and {other_score.mean():.1f}: {means}, difference {low:.1f} to {high:.1f}"
+        trained = Verdict(MORE(low, high), said, min(len(one), len(other)))
+        verdicts.append(all_of([trained, _at_same_score(pair, agent, measure, late)]))
+    return verdicts or [_ALONE]
+
+
+def _not_measured(*sections: Section) -> Verdict:
+    """What is missing of two experiments' styles: training, or measuring it."""
+    if all(section.complete for section in sections):
+        return Verdict(Outcome.OPEN, "the styles of their greedy episodes are not measured yet")
+    return _not_yet(*sections)
+
+
+def _at_same_score(
+    pair: tuple[Section, Section], agent: str, measure: str, late: list[int]
+) -> Verdict:
+    """That an agent's checks after the episodes `late` have more of a measure than those checks of
+    the other section that score alike."""
+    ours, theirs = (
+        section.styles[section.styles.agent == agent]
+        .groupby(["seed", "episode"])[[measure, "score"]]
+        .mean()
+        .reset_index()
+        for section in pair
+    )
+    ours = ours[ours.episode.isin(late)]
+    gaps = np.abs(np.subtract.outer(ours.score.to_numpy(), theirs.score.to_numpy()))
+    matched = ours.assign(other=theirs[measure].to_numpy()[gaps.argmin(axis=1)])
+    matched = matched[gaps.min(axis=1) <= SAME_SCORE]
+    seeds = min(ours.seed.nunique(), theirs.seed.nunique())
+    if len(matched) < 3 or matched.seed.nunique() < ours.seed.nunique():
+        said = f"only {len(matched)} of {len(ours)} checks have one of the same score beside them"
+        return Verdict(Outcome.UNCLEAR, said, seeds)
+    differences = matched[measure] - matched.other
+    if seeds >= SEEDS:
+        low, high = student_interval(differences.groupby(matched.seed).mean().to_numpy())
+    else:
+        low, high = series_interval(differences.groupby(matched.episode).mean().to_numpy())
+    said = f"at the same score: {matched[measure].mean():.1f} against {matched.other.mean():.1f}, "
+    said += f"difference {low:.1f} to {high:.1f}"
+    return Verdict(MORE(low, high), said, seeds)
 
 
 def overestimation(study: Study, experiment: str) -> Verdict:
     """Double DQN's predictions exceed what it realises by less than DQN's do, in the second half
-    of the games; checks of the two after the same games are compared."""
+    of the episodes; checks of the two after the same episodes are compared."""
     section = study[experiment]
-    values = section.values
+    last, values = section.params.episodes, section.values
     if values.empty:
         return _not_yet(section)
-    late = values[values.episode > section.params.episodes / 2]
-    gaps = (late.predicted - late.realised).groupby([late.agent, late.episode]).mean().unstack(0)
-    if not {DQN, DOUBLE} <= set(gaps) or gaps.dropna().index.max() < section.params.episodes:
+    late = values[values.episode > last / 2].assign(gap=values.predicted - values.realised)
+    dqn, double = (_checks(late, section, agent, last, "gap") for agent in (DQN, DOUBLE))
+    common = dqn.columns.intersection(double.columns)
+    if len(common) < 3 or common.max() < last:
         return _not_yet(section)
-    gaps = gaps.dropna()
-    if len(gaps) < 3:
-        return _not_yet(section)
-    low, high = series_interval((gaps[DQN] - gaps[DOUBLE]).to_numpy())
-    said = ", ".join(f"{params.title(agent)} {gaps[agent].mean():+.2f}" for agent in (DQN, DOUBLE))
+    sides = dqn[common].to_numpy(), double[common].to_numpy()
+    low, high = _difference(*sides)
+    said = ", ".join(
+        f"{params.title(agent)} {gaps.mean():+.2f}"
+        for agent, gaps in zip((DQN, DOUBLE), sides, strict=True)
+    )
     return Verdict(
-        _side(low, high), f"mean gap of {said}; DQN's is larger by {low:.2f} to {high:.2f}"
+        MORE(low, high),
+        f"mean gap of {said}; DQN's is larger by {low:.2f} to {high:.2f}",
+        min(map(len, sides)),
     )
 
 
-def compare_steadiness(study: Study, steady: str, unsteady: str, agent: str) -> Verdict:
-    """An agent's curve is smoother in the first experiment than in the second, over the games of
-    the second: how far each block of games is from the middle of its neighbours (points, squared),
-    less what the luck of its games explains."""
-    rough = []
-    for name in (steady, unsteady):
-        scores = study[name].scores(agent, 1, study[unsteady].params.episodes)
-        if not _enough(study[name], scores) or scores.shape[1] < 5 * BLOCK:
-            return _not_yet(study[steady], study[unsteady])
-        curve = scores.mean(axis=0)
-        means = blocks(curve)
-        whole = curve[len(curve) % BLOCK :].reshape(-1, BLOCK)
-        luck = whole.var(axis=1, ddof=1).mean() / BLOCK  # of a block's mean, points squared
-        bends = means[1:-1] - (means[:-2] + means[2:]) / 2
+def compare_steadiness(
+    study: Study, steady: tuple[str, str], unsteady: tuple[str, str], until: int
+) -> Verdict:
+    """The curve of one (experiment, agent) is smoother than another's, up to episode `until`: how
+    far each block of episodes is from the middle of its neighbours (points, squared), less what the
+    luck of its episodes explains."""
+    sections, rough = (study[steady[0]], study[unsteady[0]]), []
+    for section, (_, agent) in zip(sections, (steady, unsteady), strict=True):
+        scores = section.scores(agent, 1, until)
+        if not _enough(section, scores) or scores.shape[1] < 5 * BLOCK:
+            return _not_yet(*dict.fromkeys(sections))
+        means = blocks(scores)
+        whole = scores[:, scores.shape[1] % BLOCK :].reshape(len(scores), -1, BLOCK)
+        luck = whole.var(axis=2, ddof=1).mean(axis=1, keepdims=True) / BLOCK  # of a block's mean
+        bends = means[:, 1:-1] - (means[:, :-2] + means[:, 2:]) / 2
         rough.append(bends**2 - 1.5 * luck)
-    low, high = series_interval(rough[1] - rough[0])
-    said = " against ".join(
-        f"`{name}` {np.sqrt(max(found.mean(), 0)):.1f}"
-        for name, found in zip((steady, unsteady), rough, strict=True)
-    )
+    low, high = _difference(rough[1], rough[0])
+    roots = [float(np.sqrt(max(found.mean(), 0))) for found in rough]
+    said = _against(sections, (steady[1], unsteady[1]), roots)
     return Verdict(
-        _side(low, high),
+        MORE(low, high),
         f"roughness, points: {said}; difference of their squares {low:.1f} to {high:.1f}",
+        min(map(len, rough)),
     )
+
+
+DIFFICULTIES = 4  # of Boxing
 
 
 def beaten_everywhere(study: Study) -> Verdict:
-    """Dueling Double DQN, the most refined agent, wins on average at every difficulty, without
-    sticky actions; it was trained at the first."""
+    """Every final agent wins on average at every difficulty, without sticky actions; all were
+    trained at the default. The evidence gives the difficulty at which each scores least."""
     section = study["boxing_final"]
-    games = section.final_evaluations
-    if not games.empty:
-        as_trained = games.epsilon == section.params.evaluation_epsilon
-        games = games[(games.agent == DUELING) & (games.sticky_actions == 0) & as_trained]
-    sizes = pd.Series() if games.empty else games.groupby("difficulty").size()
-    played = int((sizes > 1).sum())
-    if played < 4:
-        return Verdict(
-            NOT_YET, f"{params.title(DUELING)} is evaluated at {played} of 4 difficulties so far"
-        )
-    parts = []
-    for difficulty, found in games.groupby("difficulty"):
-        by_seed = found.groupby("seed").score.mean().to_numpy()
-        if len(by_seed) >= SEEDS:
-            low, high = student_interval(by_seed)
+    played = section.final_evaluations
+    if not played.empty:
+        as_trained = played.epsilon == section.params.evaluation_epsilon
+        played = played[(played.sticky_actions == 0) & as_trained]
+    verdicts = []
+    for agent in section.params.agents:
+        own = played if played.empty else played[played.agent == agent]
+        verdicts.append(_beaten_by(agent, own, len(section.params.seeds)))
+    found = all_of(verdicts)
+    if found.outcome == Outcome.OPEN:
+        return found
+    hardest = played.groupby("difficulty").score.mean().idxmin()
+    said = f"the hardest by these scores is difficulty {hardest}; {found.evidence}"
+    return Verdict(found.outcome, said, found.seeds)
+
+
+def _beaten_by(agent: str, played: pd.DataFrame, planned: int) -> Verdict:
+    """An agent wins on average at every difficulty of its evaluation episodes."""
+    seeds = pd.Series(dtype=int)
+    if not played.empty:
+        sizes = played.groupby(["difficulty", "seed"]).size()
+        seeds = sizes[sizes > 1].groupby("difficulty").size()
+    if (tested := int((seeds >= planned).sum())) < DIFFICULTIES:
+        said = f"{params.title(agent)} is evaluated at {tested} of {DIFFICULTIES} difficulties"
+        return Verdict(Outcome.OPEN, f"{said} so far")
+    parts = {}
+    for difficulty, found in played.groupby("difficulty"):
+        if planned >= SEEDS:
+            low, high = student_interval(found.groupby("seed").score.mean().to_numpy())
         else:
             low, high = student_interval(found.score.to_numpy(), _distinct(found))
-        said = f"difficulty {difficulty}: {found.score.mean():.1f} ({low:.1f} to {high:.1f}), "
-        said += f"{(found.knockout == 1).mean():.0%} by knock-out"
-        parts.append(Verdict(_side(low, high), said))
-    return all_of(parts)
+        parts[difficulty] = (Mean(found.score.mean(), low, high, planned), MORE(low, high))
+    hardest = min(parts, key=lambda difficulty: parts[difficulty][0].mean)
+    won = sum(outcome == Outcome.YES for _, outcome in parts.values())
+    said = f"{params.title(agent)} wins at {won} of {DIFFICULTIES}, and scores least at difficulty "
+    said += f"{hardest}: {parts[hardest][0]}"
+    return all_of([Verdict(outcome, said, planned) for _, outcome in parts.values()])
 
 
 def negated(verdict: Verdict) -> Verdict:
     """The verdict on the opposite claim."""
-    opposite = {SUPPORTED: CONTRADICTED, CONTRADICTED: SUPPORTED}
-    return Verdict(opposite.get(verdict.verdict, verdict.verdict), verdict.evidence)
+    opposite = {Outcome.YES: Outcome.NO, Outcome.NO: Outcome.YES}
+    return replace(verdict, outcome=opposite.get(verdict.outcome, verdict.outcome))
 
 
 def runs_finished(study: Study, names: list[str]) -> Verdict:
-    """An aim that is reached when its runs are there."""
+    """An aim that is reached when its runs are there, whatever their seeds."""
     sections = [study[name] for name in names]
     share = np.mean([section.share for section in sections])
     done = all(section.complete for section in sections)
-    said = ", ".join(f"`{section.params.experiment}` {_share(section)}" for section in sections)
-    return Verdict(SUPPORTED if done else NOT_YET, f"{share:.0%} of the games played ({said})")
+    said = ", ".join(f"{section.name} {_share(section)}" for section in sections)
+    said = f"{share:.0%} of the episodes played ({said})"
+    return Verdict(Outcome.YES if done else Outcome.OPEN, said, SEEDS)

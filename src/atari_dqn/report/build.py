@@ -12,6 +12,7 @@ import shutil
 import struct
 import tempfile
 import tomllib
+from collections.abc import Collection
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import suppress
 from datetime import UTC, datetime
@@ -26,7 +27,7 @@ from nbconvert import MarkdownExporter
 from tqdm import tqdm
 
 from atari_dqn.report import crossrefs, fingerprint
-from atari_dqn.runs import plan, scheduler
+from atari_dqn.runs import plan, records, scheduler, styles
 from atari_dqn.runs.files import RunError, project_root, results_folder
 
 STAMP = {"full": "", "quick": "QUICK RUN, NOT EVIDENCE", "smoke": "SMOKE RUN, NOT EVIDENCE"}
@@ -64,18 +65,24 @@ def _build(profile: str, folder: Path) -> Path:
         failures = scheduler.train_all(plan.planned(profile, [], folder))
         if failures:
             raise RunError("; ".join(failures))
+    for run in plan.planned(profile, list(styles.EXPERIMENTS), folder):
+        if run.agent == styles.AGENT and (run.folder / records.FILE).exists():
+            styles.measure(run)
     executed = _execute(profile, folder, _snapshot(folder))
     data = project_root() / "notebooks" / "data"
     with tempfile.TemporaryDirectory() as temporary:
         made = Path(temporary)
-        text = "\n\n".join(_section(path, made) for path in executed)
+        waiting_for = _without_runs(profile, folder)
+        text = "\n\n".join(_section(path, made, waiting_for) for path in executed)
         listed, waiting = crossrefs.check_completeness(text, data / "completeness.yaml")
         print(f"{listed} things of the source report have their places; {waiting} wait for runs")
+        names = json.dumps(crossrefs.names(text), indent=0, ensure_ascii=False)
+        (made / "names.json").write_text(names, encoding="utf-8")
         text = crossrefs.finish(text) + "\n\n# References {.unnumbered}\n"
         _typeset(text, STAMP[profile], made, _moment(folder))
         target = folder / "report"
         target.mkdir(parents=True, exist_ok=True)
-        for name in ("index.html", "report.pdf"):
+        for name in ("index.html", "report.pdf", "names.json"):
             shutil.copyfile(made / name, target / f".{name}")
             (target / f".{name}").replace(target / name)
     return target
@@ -86,7 +93,6 @@ def _snapshot(folder: Path) -> Path:
     go on. Returns the folder to give notebooks as that of the results."""
     snapshot = folder / "notebooks" / "snapshot"
     shutil.rmtree(snapshot, ignore_errors=True)
-    (folder / "runs").mkdir(parents=True, exist_ok=True)
 
     def copy(source: str, target: str) -> None:
         if not source.endswith(".csv"):  # which may be appended to; others are replaced, if ever
@@ -96,7 +102,9 @@ def _snapshot(folder: Path) -> Path:
         shutil.copyfile(source, target)
 
     ignored = shutil.ignore_patterns(".*")
-    shutil.copytree(folder / "runs", snapshot / "runs", ignore=ignored, copy_function=copy)
+    for name in ("runs", "styles"):
+        (folder / name).mkdir(parents=True, exist_ok=True)
+        shutil.copytree(folder / name, snapshot / name, ignore=ignored, copy_function=copy)
     return snapshot
 
 
@@ -185,11 +193,26 @@ DARK = (
 )
 
 
-def _section(path: Path, made: Path) -> str:
-    """An executed notebook as pandoc's Markdown; its figures go to `made`."""
+def _without_runs(profile: str, folder: Path) -> set[str]:
+    """The experiments of which no run has begun."""
+    planned = plan.planned(profile, [], folder)
+    begun = {run.params.experiment.partition("+")[0] for run in planned if run.folder.exists()}
+    return {run.params.experiment.partition("+")[0] for run in planned} - begun
+
+
+NEEDS = "needs:"  # a cell's tag says by this that its text is about the runs of an experiment
+
+
+def _section(path: Path, made: Path, waiting_for: Collection[str] = ()) -> str:
+    """An executed notebook as pandoc's Markdown; its figures go to `made`. Cells that are tagged
+    as needing an experiment in `waiting_for` are left out."""
     exporter = MarkdownExporter(template_name="section", extra_template_basedirs=[str(TEMPLATES)])
     exporter.register_filter("size", _size)
     notebook = nbformat.read(path, as_version=4)
+    early = {NEEDS + name for name in waiting_for}
+    notebook.cells = [
+        cell for cell in notebook.cells if early.isdisjoint(cell.metadata.get("tags", []))
+    ]
     names = {
         "output_files_dir": f"{path.stem}_figures",
         "unique_key": path.stem,
@@ -201,7 +224,13 @@ def _section(path: Path, made: Path) -> str:
         if name.endswith(".svg"):
             data = data.replace(b"</svg>", DARK)
         (made / name).write_bytes(data)
-    return body
+    return crossrefs.from_notebook(body)
+
+
+def _script() -> str:
+    """What runs in the page: `curves.js` uses functions of `report.js`."""
+    parts = ("report.js", "curves.js")
+    return "\n".join((TEMPLATES / part).read_text(encoding="utf-8") for part in parts)
 
 
 def _metadata(moment: datetime | None) -> dict[str, str]:
@@ -247,8 +276,9 @@ def _typeset(text: str, stamp: str, made: Path, moment: datetime | None) -> None
         "--mathml",
         "--toc",
         "--toc-depth=2",
-        f"--variable=script:{(TEMPLATES / 'report.js').read_text(encoding='utf-8')}",
+        f"--variable=script:{_script()}",
         f"--css={TEMPLATES / 'report.css'}",
+        f"--css={TEMPLATES / 'curves.css'}",
         f"--template={TEMPLATES / 'report.html'}",
     ]
     pypandoc.convert_text(

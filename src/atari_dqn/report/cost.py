@@ -5,6 +5,7 @@ import json
 import pandas as pd
 import seaborn as sns
 from matplotlib import pyplot as plt
+from matplotlib.patheffects import withStroke
 
 from atari_dqn import params
 from atari_dqn.analysis.study import Study, data, hours, peak_megabytes
@@ -25,21 +26,24 @@ def best_setups(measured: pd.DataFrame) -> pd.DataFrame:
 
 
 def draw_throughput(best: pd.DataFrame) -> plt.Figure:
-    """Bars of agent steps a second, and the roofline of direct convolutions for each agent."""
+    """Bars of agent steps per second, and the roofline of direct convolutions for each agent."""
     figure, axes = plt.subplots(figsize=(plots.WIDTH, 2.6))
-    colours = {params.title(agent): plots.COLOURS[agent] for agent in best.agent.unique()}
+    colours = {params.title(agent): plots.STYLES[agent].colour for agent in best.agent.unique()}
     shown = best.assign(agent=best.agent.map(lambda agent: params.title(agent)))
-    sns.barplot(shown, x="steps_per_second", y="library", hue="agent", palette=colours, ax=axes)
+    shared = {"x": "steps_per_second", "y": "library", "hue": "agent", "palette": colours}
+    sns.barplot(shown, **shared, saturation=1, ax=axes)
     for bars in axes.containers:
         axes.bar_label(bars, fmt="%.0f", padding=3, fontsize="small")
     ours = best[best.library == OURS].set_index("agent")
     for agent, roof in (ours.steps_per_second / ours.share_of_direct_roofline).items():
-        axes.axvline(roof, color=plots.COLOURS[agent], ls="--", lw=1)
+        look = plots.STYLES[agent]
+        casing = [withStroke(linewidth=3, foreground="white")]  # across bars of its own colour
+        axes.axvline(roof, color=look.colour, ls=look.line, lw=1.2, path_effects=casing)
         axes.annotate(
             "roofline", (roof, 0.02), xycoords=("data", "axes fraction"), xytext=(-2, 0),
             textcoords="offset points", rotation=90, ha="right", fontsize="x-small", color="0.35",
         )  # fmt: skip
-    axes.set(xlabel="agent steps a second, whole machine, best set-up", ylabel="")
+    axes.set(xlabel="agent steps per second, whole machine, best set-up", ylabel="")
     axes.legend(title=None, loc="lower left", bbox_to_anchor=(0, 1), ncols=2)
     return figure
 
@@ -59,22 +63,22 @@ def show_throughput() -> None:
         caption=f"Training speed on {machine['cores']} cores of an {machine['processor']}: Boxing, "
         f"batch 32, one update every {machine['update_period']} agent steps, everything included. "
         "Each library in its best set-up; `results/benchmarks/throughput.csv` has them all. "
-        "Dashed: what the machine could do at most with direct convolutions. Stable-Baselines3 has "
-        "no Double DQN.",
-        alt="Bars of agent steps a second for this project and its peers.",
+        "Upright lines: what the machine could do at most with direct convolutions. "
+        "Stable-Baselines3 has no Double DQN.",
+        alt="Bars of agent steps per second for this project and its peers.",
         data=f"{FOLDER}/throughput.csv",
     )
     ours = best[(best.library == OURS) & (best.agent == "dqn")].iloc[0]
     peer = best[(best.library != OURS) & (best.agent == "dqn")].iloc[0]
     reached = "reached" if ours.ratio_to_best_peer >= AIMED_RATIO else "missed"
     show_text(
-        f"With DQN this project makes {ours.steps_per_second:.0f} agent steps a second, "
+        f"With DQN this project makes {ours.steps_per_second:.0f} agent steps per second, "
         f"{ours.ratio_to_best_peer:.2f} times {peer.library}, the "
         "faster of two well-known libraries, in its best set-up. (The aim of "
         f"{AIMED_RATIO} times is {reached}.) A machine's *roofline* is the speed it would have if "
         "it did nothing but the necessary arithmetic at its processor's highest speed "
-        f"({machine['float32_gflops_a_core']:.0f} billion operations a second and core) and the "
-        "emulation. A program that computes each convolution as it is defined cannot pass "
+        f"({machine['float32_gflops_per_core']:.0f} billion operations per second and core) and "
+        "the emulation. A program that computes each convolution as it is defined cannot pass "
         f"{1 / peer.share_of_direct_roofline:.2f} times {peer.library}; ours reaches "
         f"{ours.share_of_direct_roofline:.0%} of that roofline, because it needs fewer "
         "multiplications. Held to the roofline of those, it reaches "
@@ -91,17 +95,17 @@ def _gain_of_cores(ours: pd.DataFrame, cores: int) -> str:
     gains = same.set_index("setup").steps_per_second / alone.steps_per_second
     if cores == 1:
         return "The machine has one core only."
-    both = same.set_index("setup").loc["one process a core, 1 thread"]
+    both = same.set_index("setup").loc["one process per core, 1 thread"]
     processes = gains[both.name]
     text = (
-        f"On its {cores} cores, one process a core makes {processes:.2f} times the agent steps of "
-        f"one process on one core, and one process of {cores} threads "
-        f"{gains[f'one process, {cores} threads']:.2f} times: hence one run a core."
+        f"On its {cores} cores, one process per core makes {processes:.2f} times the agent steps "
+        f"of one process on one core, and one process of {cores} threads "
+        f"{gains[f'one process, {cores} threads']:.2f} times: hence one run per core."
     )
     if processes > cores:
         text += (
             f" (More than {cores} times cannot be; between rounds the one process varied from "
-            f"{alone.low:.0f} to {alone.high:.0f} agent steps a second, and the {cores} from "
+            f"{alone.low:.0f} to {alone.high:.0f} agent steps per second, and the {cores} from "
             f"{both.low:.0f} to {both.high:.0f}.)"
         )
     return text
@@ -164,7 +168,7 @@ def show_whole_run() -> None:
     first, last = measured.iloc[0], measured.iloc[-1]
     show_text(
         f"A training process of Double DQN in Boxing, alone on one core, makes "
-        f"{first.steps_per_second:.0f} agent steps a second with {first.transitions:,.0f} stored "
+        f"{first.steps_per_second:.0f} agent steps per second with {first.transitions:,.0f} stored "
         f"transitions and {last.steps_per_second:.0f} with {last.transitions:,.0f}. With these, "
         f"writing a checkpoint takes {last.checkpoint_seconds:.1f} seconds, "
         f"{last.checkpoint_share_of_time:.1%} of the run's time, and the process holds "
@@ -173,7 +177,7 @@ def show_whole_run() -> None:
     shown = pd.DataFrame(
         {
             "transitions": measured.transitions.map("{:,}".format),
-            "agent steps a second": measured.steps_per_second,
+            "agent steps per second": measured.steps_per_second,
             "checkpoint: seconds": measured.checkpoint_seconds,
             "MB": measured.checkpoint_megabytes,
             "share of time": measured.checkpoint_share_of_time.map("{:.1%}".format),

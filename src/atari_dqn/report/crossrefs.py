@@ -3,8 +3,14 @@
 A label begins with what it names: fig- or vid- (both are figures), tbl-, sec-, eq-. Where a
 figure or table has nothing to show yet, a division of class `absent` carries its label, so that
 what refers to it stays whole.
+
+Computed text refers to a label by `@fig-...`. The notebooks' own text is also read in JupyterLab,
+which knows no labels: there a label hides in a comment, `<!-- {#fig-...} -->`, and a reference is a
+link with the number that the last report gave it, `[Figure 7](#fig-...)`. `make numbers` renews
+these.
 """
 
+import json
 import re
 from collections import Counter
 from collections.abc import Iterator
@@ -12,10 +18,13 @@ from pathlib import Path
 
 from ruamel.yaml import YAML
 
-from atari_dqn.runs.files import RunError
+from atari_dqn.runs.files import RunError, project_root
+
+NAMES = "results/report/names.json"  # what the last report called each label
 
 KINDS = {"fig": "Figure", "vid": "Figure", "tbl": "Table", "sec": "Section", "eq": "Equation"}
 _LABEL = re.compile(r'(?:\{#|\bid=")((?:fig|vid|tbl|sec|eq)-[a-z0-9-]+)( \.absent)?')
+_REASON = re.compile(r"^:{3,} \{#([a-z0-9-]+) \.absent\}\n(?!:{3,}$)[^\n]*\S", re.MULTILINE)
 _REFERENCE = re.compile(r"(?<![\w@-])@((?:fig|vid|tbl|sec|eq)-[a-z0-9]+(?:-[a-z0-9]+)*)")
 _HEADING = re.compile(r"^(#+) (.*?)(?: \{([^{}\n]*)\})?$", re.MULTILINE)
 _FENCED = re.compile(r"^(`{3,})[^`\n]*\n.*?^\1$", re.MULTILINE | re.DOTALL)
@@ -24,6 +33,15 @@ _NUMBERED = re.compile(r"\{#(eq-[a-z0-9-]+) \.equation\}")
 _FIGURE = re.compile(
     r"^!\[[^\n]*\]\([^\n]*\)\{#(fig-[a-z0-9-]+)( alt=\"[^\"\n]{20,}\")?", re.MULTILINE
 )
+
+
+_HIDDEN = re.compile(r"<!-- (\{[^{}]*\}) -->")
+_LINK = re.compile(r"\[[^\[\]]+\]\(#((?:fig|vid|tbl|sec|eq)-[a-z0-9-]+)\)(?!\{)")
+
+
+def from_notebook(text: str) -> str:
+    """A notebook's own text with labels and references as pandoc and `finish` know them."""
+    return _LINK.sub(r"@\1", _HIDDEN.sub(r"\1", text))
 
 
 def finish(text: str) -> str:
@@ -51,6 +69,20 @@ def finish(text: str) -> str:
     return _REFERENCE.sub(lambda match: _link(match[1], numbers[match[1]]), text)
 
 
+def names(text: str) -> dict[str, str]:
+    """{label: "Figure 7"} of every label in the text, as references name it."""
+    return {label: _name(label, number) for label, number in _numbers(text).items()}
+
+
+def renumber(notebook: Path, names: dict[str, str]) -> bool:
+    """Writes the names of labels into the links of a notebook's own text; whether any changed."""
+    before = notebook.read_text(encoding="utf-8")
+    after = _LINK.sub(lambda link: f"[{names.get(link[1], 'below')}](#{link[1]})", before)
+    if after != before:
+        notebook.write_text(after, encoding="utf-8")
+    return after != before
+
+
 def labels(text: str) -> set[str]:
     """Every label in the text, of what is there and of what is still absent."""
     return {match[1] for match in _LABEL.finditer(text)}
@@ -59,21 +91,28 @@ def labels(text: str) -> set[str]:
 def check_completeness(text: str, path: Path) -> tuple[int, int]:
     """How many things the source report holds, and how many of them wait for runs in `text`.
 
-    Raises RunError if one has no place at all. The file at `path` lists what the source report
-    holds: {group: [{..., labels: [label, ...]}]}.
+    The file at `path` lists what the source report holds: {group: [{..., labels: [label, ...]}]}.
+    Raises RunError if one has no place at all, or a place that is empty without a reason: the
+    reason is in the place itself, or in the last badge of runs before it in its chapter.
     """
-    present = labels(text)
+    absent = {match[1] for match in _LABEL.finditer(text) if match[2]}
+    excused = {match[1] for match in _REASON.finditer(text)}
+    for chapter in re.split(r"^# ", _FENCED.sub("", text), flags=re.MULTILINE):
+        _, *badges = re.split(r"^::: \{\.badge", chapter, flags=re.MULTILINE)
+        for part in badges:
+            if ".partial" in part.partition("}")[0]:
+                excused |= labels(part)
+    shown = labels(text) - (absent - excused)
     groups = YAML(typ="safe", pure=True).load(path.read_text(encoding="utf-8"))
     gaps = [
         f"{group}: {entry['what']} ({label})"
         for group, entries in groups.items()
         for entry in entries
         for label in entry["labels"] or ["no label"]
-        if label not in present
+        if label not in shown
     ]
     if gaps:
         raise RunError(f"{path.name} lists what the report does not show: {'; '.join(gaps)}")
-    absent = {match[1] for match in _LABEL.finditer(text) if match[2]}
     entries = [entry for group in groups.values() for entry in group]
     return len(entries), sum(not absent.isdisjoint(entry["labels"]) for entry in entries)
 
@@ -139,7 +178,16 @@ def _letter_appendices(text: str) -> str:
 
 
 def _link(label: str, number: str) -> str:
+    return f"[{_name(label, number)}](#{label}){{.ref}}"
+
+
+def _name(label: str, number: str) -> str:
     kind = "Appendix" if number[:1].isalpha() else KINDS[label.partition("-")[0]]
-    if not number:
-        return f"[{kind.lower()} still to come](#{label}){{.ref}}"
-    return f"[{kind}\N{NO-BREAK SPACE}{number}](#{label}){{.ref}}"
+    return f"{kind}\N{NO-BREAK SPACE}{number}" if number else f"{kind.lower()} still to come"
+
+
+if __name__ == "__main__":
+    known = json.loads((project_root() / NAMES).read_text(encoding="utf-8"))
+    for path in sorted((project_root() / "notebooks").glob("[0-9]*.ipynb")):
+        if renumber(path, known):
+            print(f"renumbered: {path.name}")

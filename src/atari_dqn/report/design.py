@@ -139,7 +139,7 @@ def _compressed_sizes(name: str, images: int) -> list[int]:
 
 
 def settings(of: list[Parameters]) -> pd.DataFrame:
-    """A row a training parameter, with its unit and its value in each experiment.
+    """A row per training parameter, with its unit and its value in each experiment.
 
     Parameters that only other experiments use are left out.
     """
@@ -156,7 +156,7 @@ def settings(of: list[Parameters]) -> pd.DataFrame:
 
 
 def differences(of: list[Parameters]) -> pd.DataFrame:
-    """A row an experiment: its agents, games, and what differs from the first one's settings."""
+    """A row per experiment: its agents, games, and what differs from the first one's settings."""
     first = of[0]
     rows = []
     for item in of:
@@ -200,7 +200,7 @@ def deviations() -> pd.DataFrame:
 
 
 def source_scores() -> pd.DataFrame:
-    """The source report's mean scores at its milestones, a row a game and agent."""
+    """The source report's mean scores at its milestones, a row per game and agent."""
     source = data("source_report")
     return pd.DataFrame(
         [

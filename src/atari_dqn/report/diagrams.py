@@ -26,8 +26,8 @@ from atari_dqn.report import fingerprint
 from atari_dqn.report.plots import WIDTH
 from atari_dqn.schedules import epsilon
 
-TITLE, TEXT = 9, 8  # points
-LINE = 0.15  # inches from one line of text to the next
+TITLE, TEXT = 10, 9  # points
+LINE = 0.155  # inches from one line of text to the next
 INK = "0.2"
 _PALETTE = sns.color_palette("colorblind")
 ROLES = {  # what a colour means; none stands for an agent in the plots
@@ -153,19 +153,19 @@ def q_learning_steps() -> Figure:
     table, start, choose, act = (Box(0.72 + 1.62 * k, 1.85, 1.3, 0.75) for k in range(4))
     observe = Box(act.x, 0.45, 1.3, 0.75)
     update = Box((start.x + choose.x) / 2, 0.45, choose.x - start.x + 1.3, 0.75)
-    rule = r"$Q(s, a) \leftarrow Q(s, a) + \alpha\,[\,r + \gamma\,\mathrm{max}_{a'} Q(s', a')"
+    rule = r"$Q(s, a) \leftarrow Q(s, a) + \alpha\,[\,r + \gamma\,\mathrm{max}_{a′} Q(s′, a′)"
     rule += r" - Q(s, a)\,]$"
     sheet.box(table, "Initialise", "$Q(s, a) = 0$ for all\nstates and actions", "data")
     sheet.box(start, "Begin a game", "see its first\nstate $s$", "game")
     sheet.box(choose, "Choose", "an action $a$,\n$\\varepsilon$-greedily", "network")
     sheet.box(act, "Act", "play $a$ for\none step", "network")
-    sheet.box(observe, "Observe", "the reward $r$ and\nthe next state $s'$", "game")
+    sheet.box(observe, "Observe", "the reward $r$ and\nthe next state $s′$", "game")
     sheet.box(update, "Update the table", rule, "learning")
     for one, other in pairwise((table, start, choose, act)):
         sheet.arrow(one.right(), other.left())
     sheet.arrow(act.bottom(), observe.top())
     sheet.arrow(observe.left(), update.right())
-    goes_on, over = "the game goes on:\n$s \\leftarrow s'$", "the game\nis over"
+    goes_on, over = "the game goes on:\n$s \\leftarrow s′$", "the game\nis over"
     sheet.arrow(update.top(choose.x - update.x), choose.bottom(), label=goes_on)
     sheet.arrow(update.top(start.x - update.x), start.bottom(), label=over, side=-1)
     return sheet.figure
@@ -187,7 +187,7 @@ def epsilon_greedy() -> Figure:
     panel.plot(games, [epsilon(DEFAULTS, int(game)) for game in games], color=INK, lw=1.4)
     panel.set(xlim=(0, games[-1]), ylim=(0, 1.02), xticks=[0, 500, 1000], yticks=[0, 0.5, 1])
     panel.text(games[-1], floor + 0.06, f"at least {floor:g}", ha="right", color=INK, size=TEXT)
-    panel.set_xlabel("games played", size=TEXT)
+    panel.set_xlabel("training episodes", size=TEXT)
     panel.set_title(r"$\varepsilon$, share of random actions", size=TEXT, color=INK)
     panel.tick_params(labelsize=TEXT)
     return sheet.figure
@@ -266,8 +266,8 @@ def whole_agent() -> Figure:
     sheet.arrow(memory.right(), batch.left(), **learn)
     corner = (batch.x, online.y - 0.17)
     sheet.arrow(batch.top(), corner, online.left(-0.17), label="$s, a$", **learn)
-    sheet.arrow(batch.bottom(), (batch.x, target.y), target.left(), label="$r, s', d$", **learn)
-    rule = r"$y = r + \gamma\,(1-d)\,Q(s', a^+)$"
+    sheet.arrow(batch.bottom(), (batch.x, target.y), target.left(), label="$r, s′, d$", **learn)
+    rule = r"$y = r + \gamma\,(1-d)\,Q(s′, a^+)$"
     for begin, dy, label in (
         (online.bottom(0.5), 0.17, "$Q(s, a)$"),
         (target.top(0.5), -0.17, rule),
@@ -308,7 +308,7 @@ def project_files() -> Figure:
         boxes.append(sheet.frame(Box(WIDTH / 2, y, WIDTH - 0.1, height), role))
         sheet.title(0.2, y + 0.22, title, ha="left")
         sheet.text(1.1, y + 0.22, what, ha="left")
-        lines = textwrap.wrap(", ".join(sorted(floors[floor])), 88)
+        lines = textwrap.wrap(", ".join(sorted(floors[floor])), 115)
         sheet.text(0.2, y - 0.1, "\n".join(lines), ha="left")
     for lower, upper in pairwise(boxes):
         sheet.arrow(upper.bottom(), lower.top())
@@ -371,20 +371,24 @@ def layers(agent: str, stack: int = 4, actions: int = 18) -> Figure:
     for layer in found:
         depth[layer.name] = 1 + max(depth[name] for name in layer.inputs or [""])
     last = max(depth.values()) + 1
-    pitch, height = 0.61, 0.44
-    sheet = Sheet(pitch * last + height + 0.1)
+    beside = {level: [one for one in found if depth[one.name] == level] for level in range(1, last)}
+    split = next((level for level, others in beside.items() if len(others) > 1), last + 1)
+    pitch, height = 0.63, 0.46
+    room = 0.2 * (split <= last)  # above streams, for the fork that leads to them
+    sheet = Sheet(pitch * last + height + 0.1 + room)
 
-    top = sheet.height - height / 2 - 0.05
-    boxes = {"": Box(WIDTH / 2, top, 2.9, height)}
+    def middle(level: int) -> float:
+        return sheet.height - height / 2 - 0.05 - pitch * level - room * (level >= split)
+
+    boxes = {"": Box(WIDTH / 2, middle(0), 2.95, height)}
     sheet.box(boxes[""], "Observation", f"{stack} grey images", "game")
-    for layer in found:
-        beside = [other.name for other in found if depth[other.name] == depth[layer.name]]
-        x = WIDTH * (beside.index(layer.name) + 0.5) / len(beside)
-        boxes[layer.name] = Box(x, top - pitch * depth[layer.name], 2.9, height)
-        _layer_box(sheet, boxes[layer.name], layer)
-    end = Box(WIDTH / 2, top - pitch * last, 4.2, height)
-    streams = [layer for layer in found if depth[layer.name] == last - 1]
-    rule = DUELING if len(streams) > 1 else "Q(s, a)"
+    for level, layers_there in beside.items():
+        for place, layer in enumerate(layers_there):
+            x = WIDTH * (place + 0.5) / len(layers_there)
+            boxes[layer.name] = Box(x, middle(level), 2.95, height)
+            _layer_box(sheet, boxes[layer.name], layer)
+    end = Box(WIDTH / 2, middle(last), 4.4, height)
+    rule = DUELING if len(beside[last - 1]) > 1 else "Q(s, a)"
     total = sum(weight.numel() for weight in network.parameters())
     sheet.box(end, "Action values", f"${rule}$;  {total:,} weights in all", "data")
 
@@ -396,17 +400,13 @@ def layers(agent: str, stack: int = 4, actions: int = 18) -> Figure:
             label += " value" if shapes[name] == (1,) else " values"
         elif isinstance(following[0].module, nn.Linear):
             label += f", flattened to {following[0].module.in_features:,} values"
+        stem = box.bottom()[1] - (pitch - height)
         for below in [boxes[layer.name] for layer in following] or [end]:
-            if abs(below.x - box.x) < below.width / 2:
-                sheet.arrow(box.bottom(), below.top(box.x - below.x))
+            if len(following) > 1:
+                sheet.arrow(box.bottom(), (box.x, stem), (below.x, stem), below.top())
             else:
-                side = box.left() if below.x < box.x else box.right()
-                sheet.arrow(side, (below.x, box.y), below.top())
-        y = box.bottom()[1] - (pitch - height) / 2
-        if len(following) > 1:
-            sheet.text(box.x, y, label)
-        else:
-            sheet.text(box.x + 0.08, y, label, ha="left")
+                sheet.arrow(box.bottom(), below.top(box.x - below.x))
+        sheet.text(box.x + 0.08, (box.bottom()[1] + stem) / 2, label, ha="left")
     return sheet.figure
 
 

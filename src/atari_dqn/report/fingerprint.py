@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from atari_dqn import params
+from atari_dqn.report import crossrefs
 from atari_dqn.runs import plan
 from atari_dqn.runs.files import project_root
 from atari_dqn.runs.run import runs_of
@@ -24,7 +25,7 @@ def fingerprint(notebook: Path, profile: str, results: Path) -> str:
         for cell in json.loads(source)["cells"]
         if cell["cell_type"] == "code"
     )
-    digest = hashlib.sha256(f"{profile}\n{source}".encode())
+    digest = hashlib.sha256(f"{profile}\n{crossrefs.from_notebook(source)}".encode())
     if "project_files" in code:  # a drawing of their names
         digest.update("\n".join(source_files()).encode())
     measured = sorted((project_root() / "results" / "benchmarks").glob("*.*"))
@@ -62,7 +63,7 @@ def _stored(code: str, profile: str, results: Path) -> Iterator[Path]:
         for run in runs_of(params.load(path), results) if shows_runs else ():
             for each in (run, run.source()):
                 if each is not None:
-                    files = each.folder.rglob("[!.]*")
+                    files = [*each.folder.rglob("[!.]*"), each.styles]
                     yield from sorted(file for file in files if file.is_file())
 
 

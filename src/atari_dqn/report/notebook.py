@@ -72,8 +72,7 @@ def show_badge(section: Section) -> None:
     count = len(section.runs)
     games = f"{count} run{'s' * (count > 1)} of {section.params.episodes:,} games"
     if section.episodes.empty:
-        text = f"**Not started.** Planned: {games}. {command} trains them; the curves and tables "
-        text += "of this experiment follow."
+        text = f"**Not started**: {games}. {command} trains them."
     else:
         share = "less than 1%" if section.share < 0.01 else f"{section.share:.0%}"
         text = f"**{complete} of {len(section.runs)} runs complete**{profile and ' (small runs)'}: "

@@ -6,7 +6,9 @@ goes: captions below figures, badges as quotations, labels and citations in word
 """
 
 import base64
+import json
 import re
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import pandas as pd
@@ -15,7 +17,8 @@ from matplotlib import pyplot as plt
 from matplotlib.figure import Figure
 from matplotlib_inline.backend_inline import set_matplotlib_formats
 
-from atari_dqn.report import plots
+from atari_dqn.report import crossrefs, interactive, plots
+from atari_dqn.runs.files import project_root
 
 if TYPE_CHECKING:  # what plays and draws videos takes seconds to import
     from atari_dqn.report.video import Video
@@ -44,12 +47,23 @@ def for_jupyter(markdown: str) -> str:
     text = re.sub(r"(\[\])? ?\{#[\w-]+( \.\w+)*\}", "", text)
     text = re.sub(r"\[(-?@[^\]]+)\]", r"(\1)", text)
     code = r"```.*?```|`[^`]*`"
-    return re.sub(rf"({code})|-?(?<![\w@])@([\w-]+)", r"\1\2", text, flags=re.DOTALL)
+
+    def plain(match: re.Match[str]) -> str:
+        return match[1] or _names().get(match[2], match[2])
+
+    return re.sub(rf"({code})|-?(?<![\w@])@([\w-]+)", plain, text, flags=re.DOTALL)
 
 
-def _show_caption(caption: str) -> None:
+@cache
+def _names() -> dict[str, str]:
+    """What the last report called each label: "Figure 7"."""
+    path = project_root() / crossrefs.NAMES
+    return json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+
+
+def _show_caption(label: str, caption: str) -> None:
     """A figure's caption in JupyterLab; the report takes it from the figure's own metadata."""
-    text = Markdown(f"*{for_jupyter(caption)}*")
+    text = Markdown(f"*{_names().get(label, 'Figure')}. {for_jupyter(caption)}*")
     display(text, metadata={"text/markdown": {"report": ""}})
 
 
@@ -63,23 +77,16 @@ def show_placeholders(*labels: str) -> None:
     show_text(" ".join(f"[]{{#{label} .absent}}" for label in labels))
 
 
-def show_figure(
-    figure: Figure,
-    label: str,
-    caption: str,
-    alt: str,
-    data: str = "",
-    hover: dict[str, Any] | None = None,
-) -> None:
+def show_figure(figure: Figure, label: str, caption: str, alt: str, data: str = "") -> None:
     """Shows a figure with its caption; `label` (fig-...) is what the text refers to.
 
-    `data` says which files it is drawn from. `hover` (`plots.hover_values`) are the values that
-    the page shows under the pointer.
+    `data` says which files it is drawn from. What `interactive` tells of it goes to the page.
     """
-    meta = {"label": label, "caption": caption, "alt": alt, "data": data, "hover": hover}
+    meta: dict[str, Any] = {"label": label, "caption": caption, "alt": alt, "data": data}
+    meta["curves"] = interactive.described(figure)
     display(figure, metadata={"image/svg+xml": meta})
     plt.close(figure)
-    _show_caption(caption)
+    _show_caption(label, caption)
 
 
 def show_video(video: "Video", label: str, caption: str, alt: str, data: str = "") -> None:
@@ -97,7 +104,7 @@ def show_video(video: "Video", label: str, caption: str, alt: str, data: str = "
         "image/png": base64.b64encode(video.strip).decode(),  # what the report is made from
     }
     display(bundle, metadata={"image/png": meta}, raw=True)
-    _show_caption(caption)
+    _show_caption(label, caption)
 
 
 def show_table(table: pd.DataFrame, label: str, caption: str, decimals: int = 2) -> None:

@@ -1,31 +1,64 @@
-"""Every figure, in one style: colour-blind safe, told apart by line style too, vector graphics."""
+"""Every plot, in one style: colour-blind safe, told apart by line style too.
 
-from itertools import cycle
-from typing import Any
+An agent has one colour and one kind of line in all figures and videos (`STYLES`), and no other
+thing has one of these colours: settings, and stages of one agent, are shades of another
+(`shades`). What a person and random moves score is dotted and grey everywhere (`references`).
+"""
+
+import textwrap
+from collections import deque
+from itertools import cycle, pairwise
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import matplotlib as mpl
 import numpy as np
 import pandas as pd
 import seaborn as sns
+from matplotlib import font_manager
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
+from scipy import stats
 
 from atari_dqn import params
-from atari_dqn.analysis.statistics import trailing_mean
-from atari_dqn.envs import AtariEnv
+from atari_dqn.analysis.statistics import interval, trailing_mean
+from atari_dqn.envs import SIZE, AtariEnv
 from atari_dqn.games import GAMES, GameFacts
+from atari_dqn.report.interactive import named
 
-_COLOURS = sns.color_palette("colorblind")
-COLOURS = dict(zip(params.AGENT_NAMES, cycle(_COLOURS), strict=False))
-DASHES = dict(zip(params.AGENT_NAMES, cycle(("", (4, 1.5), (1, 1), (4, 1, 1, 1))), strict=False))
+Colour = tuple[float, float, float]
+
+
+class Style(NamedTuple):
+    """How an agent is drawn."""
+
+    colour: Colour
+    line: Any  # matplotlib's line style
+
+
+_LINES = ("-", (0, (4, 1.2)), (0, (1.2, 1)), (0, (4, 1, 1, 1)))
+STYLES = {
+    name: Style(colour, line)
+    for name, colour, line in zip(
+        params.AGENT_NAMES, cycle(sns.color_palette("colorblind")), cycle(_LINES), strict=False
+    )
+}
 WIDTH = 6.3  # inches; the text's width on paper
+INK, SOFT = "0.2", "0.45"
+FONT = "Libertinus Serif"  # the PDF's
+FONTS = Path(__file__).parent / "fonts"
+SEEDS_OF_A_BAND = 3  # from so many on, an interval over seeds says something
 
 
 def style() -> None:
     """Sets the style of all figures, and makes their bytes reproducible."""
-    sns.set_theme(context="paper", style="ticks", font="DejaVu Sans")
+    if FONT not in font_manager.fontManager.get_font_names():
+        for file in sorted(FONTS.glob("*.otf")):
+            font_manager.fontManager.addfont(file)
+    sns.set_theme(context="paper", style="ticks", font=FONT)
     mpl.rcParams.update(
         {
             "figure.figsize": (WIDTH, 3.2),
@@ -34,6 +67,12 @@ def style() -> None:
             "axes.spines.right": False,
             "axes.grid": True,
             "grid.alpha": 0.3,
+            "mathtext.fontset": "custom",
+            "mathtext.rm": FONT,
+            "mathtext.it": f"{FONT}:italic",
+            "mathtext.bf": f"{FONT}:bold",
+            "mathtext.cal": f"{FONT}:italic",
+            "mathtext.sf": FONT,
             "svg.hashsalt": "atari-dqn",
             "svg.fonttype": "path",
             "legend.frameon": False,
@@ -41,8 +80,18 @@ def style() -> None:
     )
 
 
+def shades(count: int) -> list[Colour]:
+    """Colours of what is no agent, in their order, from light to dark: settings, stages."""
+    return sns.light_palette("#6b1740", count + 1)[1:]
+
+
+def agents_of(table: pd.DataFrame) -> list[str]:
+    """The agents in a table, in the order of `AGENT_NAMES`."""
+    return [agent for agent in params.AGENT_NAMES if agent in set(table.agent)]
+
+
 def smoothed(episodes: pd.DataFrame, window: int) -> pd.DataFrame:
-    """Adds `mean`, the mean score of the last `window` games; games before the first go.
+    """Adds `mean`, the mean score of the last `window` episodes; episodes before the first go.
 
     `episodes` holds columns episode, score, agent, seed and, of a sweep, variation.
     """
@@ -52,184 +101,324 @@ def smoothed(episodes: pd.DataFrame, window: int) -> pd.DataFrame:
 
 
 def learning_curves(
-    episodes: pd.DataFrame, facts: GameFacts, window: int, published: dict[str, Any] | None
-) -> tuple[Figure, dict[str, Any]]:
-    """Mean raw score of the last `window` games against games, frames and hours of training.
+    episodes: pd.DataFrame,
+    facts: GameFacts,
+    window: int,
+    published: dict[str, Any] | None,
+    source: pd.DataFrame,
+) -> Figure:
+    """Mean raw score of the last `window` episodes against episodes, frames and processor time.
 
-    Every seed is a line; where there are several, their mean against games is a bold one.
-    `episodes` holds columns episode, frames, seconds, score, agent and seed; `published` (scores
-    by agent at `frames`, million) are marks beside them; None leaves them and the human and random
-    references out. Returns the figure and what
-    `hover_values` says of it.
+    Every seed is a line. Where there are several, their mean against episodes is a bold one, with
+    a 95% interval over seeds from `SEEDS_OF_A_BAND` on.
+
+    `episodes` holds columns episode, frames, cpu_seconds, score, agent and seed. `source` are the
+    source report's scores, hollow: columns agent, episode and score. `published` (scores by agent
+    at `frames`, million) are grey marks; None leaves them and `references` out. Both are drawn as
+    far as the curves reach and a little further.
     """
     curves = smoothed(episodes, window)
-    curves = curves.assign(frames=curves.frames / 1e6, hours=curves.seconds / 3600)
+    curves = curves.assign(frames=curves.frames / 1e6, hours=curves.cpu_seconds / 3600)
     figure, panels = plt.subplot_mosaic(
-        [["games", "games"], ["frames", "hours"]],
-        figsize=(WIDTH, 4.9),
-        gridspec_kw={"height_ratios": [1.5, 1]},
+        [["episode", "episode"], ["frames", "hours"]],
+        figsize=(WIDTH, 5.6),
+        gridspec_kw={"height_ratios": [2.3, 1]},
     )
-    shared = {"y": "mean", "hue": "agent", "style": "agent", "palette": COLOURS, "dashes": DASHES}
-    every = {"units": "seed", "estimator": None, "legend": False}
-    several = episodes.seed.nunique() > 1
-    width, alpha = (0.6, 0.5) if several else (1.4, 1.0)
-    for name, x in (("games", "episode"), ("frames", "frames"), ("hours", "hours")):
-        sns.lineplot(curves, x=x, **shared, **every, lw=width, alpha=alpha, ax=panels[name])
+    main = panels["episode"]
+    for x, axes in panels.items():
         if published:
-            _reference_lines(panels[name], facts, named=name == "games")
-    reached = curves.groupby(["agent", "seed"]).episode.max().groupby("agent").min()
-    common = curves[curves.episode <= curves.agent.map(reached)]  # by every seed of the agent
-    games = panels["games"]
-    bold = {"errorbar": None, "lw": 1.6 if several else 0.0}
-    sns.lineplot(common, x="episode", **shared, **bold, ax=games)
-    handles, names = games.get_legend_handles_labels()
-    for handle in handles:
-        handle.set_linewidth(1.6)  # type: ignore[attr-defined]
-    titles = [params.title(name) for name in names]
-    games.legend(handles, titles, loc="lower left", bbox_to_anchor=(0, 1), ncols=len(titles))
-    games.set(xlabel="games played", ylabel=f"score, mean of {window} games")
-    panels["hours"].set(xlabel="hours by the clock", ylabel="")
+            references(axes, facts, labelled=axes is main)
+        for agent in agents_of(curves):
+            _curves_of(axes, curves[curves.agent == agent], agent, str(x), axes is main)
+    handles = [
+        Line2D([], [], color=STYLES[agent].colour, ls=STYLES[agent].line, lw=2)
+        for agent in agents_of(curves)
+    ]
+    titles = [params.title(agent) for agent in agents_of(curves)]
+    if _source_points(main, source, 1.3 * float(curves.episode.max())):
+        handles.append(Line2D([], [], ls="none", marker="o", color=SOFT, mfc="white", mew=1.3))
+        titles.append("source report")
+    main.legend(
+        handles, titles, loc="lower left", bbox_to_anchor=(-0.01, 1), ncols=4, fontsize="medium"
+    )
+    main.set(xlabel="training episodes", ylabel=f"score, mean of {window} episodes")
+    panels["hours"].set(xlabel="hours of processor time", ylabel="")
     if published:
-        _published(panels["frames"], published, float(curves.frames.max()))
+        _published_points(panels["frames"], published, 1.3 * float(curves.frames.max()))
     panels["frames"].set(xlabel="million frames", ylabel="score")
-    means = common.groupby(["agent", "episode"])["mean"].mean()
-    lines = {params.title(agent): means[agent] for agent in agents_of(curves)}
-    return figure, hover_values(figure, games, lines, "after games:")
+    for axes in panels.values():
+        axes.set_xlim(left=0)
+    return figure
 
 
-def agents_of(table: pd.DataFrame) -> list[str]:
-    """The agents in a table, in the order of `AGENT_NAMES`."""
-    return [agent for agent in params.AGENT_NAMES if agent in set(table.agent)]
+def _curves_of(axes: Axes, curves: pd.DataFrame, agent: str, x: str, main: bool) -> None:
+    """An agent's curves: of each seed, and in the main panel their mean."""
+    title, look = params.title(agent), STYLES[agent]
+    shared: dict[str, Any] = {"color": look.colour, "ls": look.line, "solid_capstyle": "round"}
+    several = curves.seed.nunique() > 1
+    for seed, own in curves.groupby("seed"):
+        if main and several:
+            named(axes.plot(own[x], own["mean"], lw=0.7, alpha=0.45, **shared)[0], title)
+        else:
+            name = f"{title}, seed {seed}" if several else title
+            (line,) = axes.plot(own[x], own["mean"], lw=2 if main else 1.1, zorder=3, **shared)
+            named(line, title, value=name)
+    if main and several:
+        scores = curves.pivot(index="episode", columns="seed", values="mean").dropna()
+        mean = scores.mean(axis=1)  # as far as every seed has come
+        (line,) = axes.plot(mean.index, mean, lw=2, zorder=3, **shared)
+        named(line, title, value=title)
+        if scores.shape[1] >= SEEDS_OF_A_BAND:
+            half = stats.t.ppf(0.975, scores.shape[1] - 1) * scores.sem(axis=1)
+            band = {"color": look.colour, "alpha": 0.15, "lw": 0}
+            named(axes.fill_between(mean.index, mean - half, mean + half, **band), title)
 
 
-def _reference_lines(axes: Axes, facts: GameFacts, named: bool) -> None:
-    # the human score's name where curves are still low
-    for score, name, side in ((facts.human, "human", 0), (facts.random, "random play", 1)):
-        axes.axhline(score, color="0.45", lw=0.8, ls=":")
-        if named:
-            axes.annotate(
-                f"{name} {score:g}",
-                (side, score),
-                xycoords=("axes fraction", "data"),
-                xytext=(2 - 4 * side, 2),
-                textcoords="offset points",
-                ha="right" if side else "left",
-                va="bottom",
-                color="0.35",
-                fontsize="small",
-                path_effects=[withStroke(linewidth=2.5, foreground="white")],
-                zorder=5,
-            )
+def _source_points(axes: Axes, source: pd.DataFrame, reach: float) -> bool:
+    """Draws the source report's scores up to an episode; returns whether there are any."""
+    shown = source[source.episode <= reach].dropna(subset="score")
+    for agent, own in shown.groupby("agent", sort=False):
+        how = {"color": STYLES[str(agent)].colour, "mfc": "white", "mew": 1.4, "ms": 6}
+        (points,) = axes.plot(own.episode, own.score, "o", zorder=4, clip_on=False, **how)
+        title = params.title(str(agent))
+        named(points, title, "source report", value=f"{title}, source report")
+    return not shown.empty
 
 
-def _published(axes: Axes, published: dict[str, Any], reached: float) -> None:
-    """Marks of other people's agents, as far as the curves reach and a little further."""
+def _published_points(axes: Axes, published: dict[str, Any], reach: float) -> None:
+    """Draws other people's agents up to a number of frames."""
     agents = {name: scores for name, scores in published.items() if name != "frames"}
-    for marker, (name, scores) in zip("os^", agents.items(), strict=False):
+    handles = []
+    for marker, (name, scores) in zip("sD^", agents.items(), strict=False):
         at = [
             (frames, score)
             for frames, score in zip(published["frames"], scores, strict=True)
-            if score is not None and frames <= 1.3 * reached
+            if score is not None and frames <= reach
         ]
         if at:
-            axes.plot(
-                *zip(*at, strict=True),
-                marker,
-                ms=4,
-                mfc="none",
-                color="0.4",
-                label=f"{name}, published",
-            )
-    if axes.get_legend_handles_labels()[0]:
-        axes.legend(fontsize="x-small", loc="best", handletextpad=0.2)
+            how = {"ls": "none", "marker": marker, "ms": 4, "mfc": "none", "color": SOFT}
+            handles += axes.plot(*zip(*at, strict=True), **how)
+            named(handles[-1], "Dopamine", value=f"{name}, Dopamine")
+    if handles:
+        axes.legend(handles=handles, fontsize="x-small", loc="best", handletextpad=0.2)
 
 
-def hover_values(
-    figure: Figure, axes: Axes, lines: dict[str, pd.Series], x_label: str
-) -> dict[str, Any]:
-    """What the page needs to show values under the pointer: where the axes lie in the figure
-    (shares of its width), their limits, and at most 200 points of every line."""
-    figure.canvas.draw()
-    box, (x_min, x_max) = axes.get_position(), axes.get_xlim()
-    thinned = {name: line.iloc[:: max(1, len(line) // 200)] for name, line in lines.items()}
-    return {
-        "x_label": x_label,
-        "axes": {
-            "left": round(box.x0, 4),
-            "width": round(box.width, 4),
-            "x_min": round(x_min, 4),
-            "x_max": round(x_max, 4),
-        },
-        "curves": [
-            {"name": name, "xs": line.index.tolist(), "ys": line.round(2).tolist()}
-            for name, line in thinned.items()
-            if len(line)
-        ],
-    }
+def references(axes: Axes, facts: GameFacts, labelled: bool, upright: bool = False) -> None:
+    """Lines at what a human tester and random play score; `upright` where scores lie on x."""
+    draw = axes.axvline if upright else axes.axhline
+    # the human's name where curves are still low
+    for score, name, side in ((facts.human, "human", 0), (facts.random, "random play", 1)):
+        draw(score, color=SOFT, lw=1, ls=":", zorder=1)
+        if not labelled:
+            continue
+        how: dict[str, Any] = {"textcoords": "offset points", "color": INK, "fontsize": "small"}
+        text = f"{name} {score:g}"
+        if upright:
+            at, how["xycoords"] = (score, 1), ("data", "axes fraction")
+            how |= {"xytext": (0, 2), "ha": "right" if side else "left", "va": "bottom"}
+        else:
+            at, how["xycoords"] = (side, score), ("axes fraction", "data")
+            how |= {"xytext": (2 - 4 * side, 2), "ha": "right" if side else "left"}
+            how |= {"path_effects": [withStroke(linewidth=2.5, foreground="white")], "zorder": 5}
+        axes.annotate(text, at, **how)
 
 
 def comparison(episodes: pd.DataFrame, facts: GameFacts, window: int, by: str) -> Figure:
-    """Mean score of the last `window` games against games played, a line for each `by`."""
+    """Mean score of the last `window` episodes against episodes, a line for each `by`: agents, or
+    `variation`, settings of one agent in their order."""
     curves = smoothed(episodes, window)
     figure, axes = plt.subplots(figsize=(WIDTH, 3.4))
     names = list(dict.fromkeys(curves[by]))
-    palette = dict(zip(names, sns.color_palette("colorblind", len(names)), strict=True))
-    shared = {"x": "episode", "y": "mean", "hue": by, "style": by, "palette": palette}
-    sns.lineplot(curves, **shared, errorbar=None, lw=1.4, ax=axes)
-    _reference_lines(axes, facts, named=True)
-    axes.set(xlabel="games played", ylabel=f"score, mean of {window} games")
-    sns.move_legend(axes, "lower left", bbox_to_anchor=(0, 1), ncols=3, title=None)
+    looks = dict(zip(names, map(Style, shades(len(names)), cycle(_LINES)), strict=False))
+    references(axes, facts, labelled=True)
+    handles = []
+    for name in names:
+        look, title = (STYLES[name], params.title(name)) if by == "agent" else (looks[name], name)
+        mean = curves[curves[by] == name].groupby("episode")["mean"].mean()
+        handles += axes.plot(mean.index, mean, color=look.colour, ls=look.line, lw=1.8)
+        named(handles[-1], title, value=title)
+    axes.legend(handles=handles, loc="lower left", bbox_to_anchor=(-0.01, 1), ncols=4)
+    axes.set(xlabel="training episodes", ylabel=f"score, mean of {window} episodes")
+    return figure
+
+
+def small_multiples(
+    variations: pd.DataFrame, unchanged: pd.DataFrame, agent: str, window: int
+) -> Figure:
+    """A panel for each change of a setting: its curve, and in each the one of the unchanged
+    set-up. Both tables hold columns episode, score, agent and seed; `variations` also variation."""
+    curves, base = smoothed(variations, window), unchanged
+    if not unchanged.empty:
+        base = smoothed(unchanged, window).groupby("episode")["mean"].mean()
+    names, columns = list(dict.fromkeys(curves.variation)), 4
+    rows = -(-len(names) // columns)
+    figure, panels = plt.subplots(
+        rows, columns, figsize=(WIDTH, 0.5 + 1.35 * rows), sharex=True, sharey=True, squeeze=False
+    )
+    look, colour = STYLES[agent], shades(2)[-1]
+    handles = [Line2D([], [], color=colour, lw=1.3)]
+    handles.append(Line2D([], [], color=look.colour, ls=look.line, lw=2.2))
+    for place, axes in enumerate(panels.flat):
+        if place >= len(names):
+            axes.set_visible(False)
+            continue
+        if not unchanged.empty:
+            how = {"color": look.colour, "ls": look.line, "lw": 2.2}
+            named(axes.plot(base.index, base, **how)[0], "unchanged", value="unchanged")
+        mean = curves[curves.variation == names[place]].groupby("episode")["mean"].mean()
+        (line,) = axes.plot(mean.index, mean, color=colour, lw=1.3)
+        named(line, "with the change", value=names[place])
+        axes.set_title(textwrap.fill(names[place], 22), fontsize="small", loc="left")
+        axes.tick_params(labelbottom=place + columns >= len(names))  # nothing below it
+    figure.supxlabel("training episodes", fontsize="medium", y=0.01)
+    figure.supylabel(f"score, mean of {window} episodes", fontsize="medium", x=0.015)
+    titles = ["with the change", "unchanged"][: 1 + (not unchanged.empty)]
+    figure.legend(handles[: len(titles)], titles, loc="upper left", ncols=2)
+    figure.tight_layout(rect=(0.01, 0, 1, 1 - 0.28 / figure.get_figheight()))
     return figure
 
 
 def value_errors(values: pd.DataFrame) -> Figure:
-    """Predicted (solid) and realised values (dashed) of the states of greedy games, and the
-    predicted ones of states that stay the same (dotted), against training games.
+    """Predicted values of the states of greedy episodes (dots in the agent's colour), what was
+    realised (grey circles) and, shaded, how far the one lies above the other, against training
+    episodes; as a pale line the predictions for states that stay the same.
 
     `values` holds columns episode, predicted, realised, held_out_q and agent
     (`evaluation.ValueCheck`).
     """
     agents = agents_of(values)
-    figure, panels = plt.subplots(1, len(agents), sharey=True, figsize=(WIDTH, 2.3), squeeze=False)
+    figure, panels = plt.subplots(1, len(agents), sharey=True, figsize=(WIDTH, 2.5), squeeze=False)
     for axes, agent in zip(panels[0], agents, strict=True):
-        own = values[values.agent == agent]
-        shared = {"x": "episode", "data": own, "ax": axes, "errorbar": None, "legend": False}
-        sns.lineplot(y="predicted", color=COLOURS[agent], lw=1.5, marker="o", ms=3.5, **shared)
-        sns.lineplot(y="realised", color="0.35", lw=1.2, ls="--", marker="o", ms=3.5, **shared)
-        sns.lineplot(y="held_out_q", color=COLOURS[agent], lw=1.2, ls=":", **shared)
-        axes.set(xlabel="games played", ylabel="value of a state")
+        columns = ["predicted", "realised", "held_out_q"]
+        own = values[values.agent == agent].groupby("episode")[columns].mean()
+        colour, line = STYLES[agent]
+        over = own.predicted > own.realised
+        shade = {"color": colour, "alpha": 0.15, "lw": 0, "interpolate": True}
+        axes.fill_between(own.index, own.predicted, own.realised, where=over, **shade)
+        dots = {"marker": "o", "ms": 4}
+        for column, name, how in (
+            ("held_out_q", "held-out states", {"color": colour, "lw": 1, "alpha": 0.6}),
+            ("realised", "realised", {"color": SOFT, "lw": 1, "mfc": "white", **dots}),
+            ("predicted", "predicted", {"color": colour, "ls": line, "lw": 1.6, **dots}),
+        ):
+            named(axes.plot(own.index, own[column], **how)[0], name, value=name)
+        axes.set(xlabel="training episodes", ylabel="value of a state")
         axes.set_title(params.title(agent), fontsize="medium", loc="left")
+        axes.label_outer()
     return figure
 
 
-def score_distributions(evaluations: pd.DataFrame) -> Figure:
-    """The scores of the evaluation games, one strip and box an agent."""
-    figure, axes = plt.subplots(figsize=(WIDTH, 2.4))
-    shared = {"data": evaluations, "x": "score", "y": "agent", "hue": "agent", "palette": COLOURS}
-    shared |= {"order": agents_of(evaluations), "ax": axes}
-    sns.boxplot(**shared, width=0.5, fliersize=0, boxprops={"alpha": 0.35}, legend=False)
-    np.random.seed(0)  # noqa: NPY002 (seaborn draws its jitter from the global generator)
-    sns.stripplot(**shared, size=2.5, jitter=0.18, legend=False)
-    axes.set(xlabel="score of a game", ylabel="")
-    axes.set_yticks(axes.get_yticks(), [params.title(name) for name in shared["order"]])
+def score_distributions(evaluations: pd.DataFrame, facts: GameFacts | None) -> Figure:
+    """The scores of the evaluation episodes, a row of dots per agent, with each run's mean and the
+    95% interval of it over its episodes; `facts` None leaves `references` out."""
+    agents = agents_of(evaluations)
+    figure, axes = plt.subplots(figsize=(WIDTH, 0.9 + 0.65 * len(agents)))
+    rng = np.random.default_rng(0)
+    for place, agent in enumerate(agents):
+        runs = evaluations[evaluations.agent == agent].groupby("seed")
+        for row, (_, run) in enumerate(runs):
+            y = place + 0.62 * ((row + 0.5) / len(runs) - 0.5)  # a lane per run
+            scores, spread = run.score.to_numpy(float), 0.2 / len(runs)
+            heights = y + rng.uniform(-spread, spread, len(scores))
+            dots = {"ms": 3.2, "alpha": 0.4, "mew": 0, "color": STYLES[agent].colour}
+            axes.plot(scores, heights, "o", **dots)
+            mean = scores.mean()
+            if len(scores) > 1:
+                axes.plot(interval(scores), [y, y], color=INK, lw=2.2, solid_capstyle="butt")
+            axes.plot(mean, y, "D", ms=6, color=STYLES[agent].colour, mec=INK, mew=1.2, zorder=4)
+            how = {"textcoords": "offset points", "ha": "center", "va": "bottom", "color": INK}
+            halo = [withStroke(linewidth=2.5, foreground="white")]
+            axes.annotate(f"{mean:.1f}", (mean, y), (0, 6), path_effects=halo, zorder=5, **how)
+    if facts:
+        references(axes, facts, labelled=True, upright=True)
+    axes.set(xlabel="score of an episode", ylabel="", ylim=(len(agents) - 0.4, -0.6))
+    axes.set_yticks(range(len(agents)), [params.title(name) for name in agents])
+    axes.grid(False, axis="y")
+    axes.tick_params(axis="y", length=0)
     return figure
+
+
+class _Watched(AtariEnv):
+    """Keeps the television's pictures of the latest step, uint8 [210, 160, 3] each."""
+
+    def __init__(self, game: str):
+        super().__init__(game)
+        self.pictures: deque[np.ndarray] = deque(maxlen=self.frame_skip)
+
+    def _act(self, action: int) -> float:
+        points = super()._act(action)
+        self.pictures.append(self.render())
+        return points
+
+    def maximum(self) -> np.ndarray:
+        """The grey screen that the latest image was made from, uint8 [210, 160]."""
+        return self._screens[0]
 
 
 def preprocessing(games: list[str]) -> Figure:
-    """The television's picture of each game, and an observation's four images, oldest first."""
-    size = (WIDTH, 1.75 * len(games))
-    widths = {"width_ratios": [1.1, 1, 1, 1, 1]}
-    figure, rows = plt.subplots(len(games), 5, figsize=size, gridspec_kw=widths)
-    for axes, name in zip(rows, games, strict=True):
-        game = AtariEnv(name)
+    """From the frames of an agent step to an observation, with pictures of each game; and from its
+    points to a reward."""
+    stack, side = 4, 0.77  # images; inches
+    high, pitch, gap, shift = side * 210 / 160, 1.3, 0.5, 0.15
+    height = pitch * len(games) + 0.95
+    figure = plt.figure(figsize=(WIDTH, height), layout="none")
+    sheet = figure.add_axes((0, 0, 1, 1))
+    sheet.set(xlim=(0, WIDTH), ylim=(0, height))
+    sheet.axis("off")
+
+    def show(picture: np.ndarray, x: float, y: float, tall: float) -> None:
+        where = (x / WIDTH, y / height, side / WIDTH, tall / height)
+        axes = figure.add_axes(where, xticks=[], yticks=[])
+        axes.grid(False)
+        axes.imshow(picture, cmap="gray", vmin=0, vmax=255, aspect="auto")
+        axes.spines[:].set(visible=True, color="white", lw=1)
+
+    def arrow(start: float, end: float, y: float, label: str) -> None:
+        how = {"arrowstyle": "-|>", "color": SOFT, "shrinkA": 0, "shrinkB": 0}
+        sheet.annotate("", (end, y), (start, y), arrowprops=how)
+        sheet.text((start + end) / 2, y + 0.06, label, ha="center", va="bottom", size=8, color=INK)
+
+    frames = (0.32, 0.32 + side + 0.05)
+    greatest = frames[1] + side + gap
+    small = greatest + side + gap
+    stacked = small + side + gap
+    for row, name in enumerate(games):
+        base = height - 0.42 - pitch * row - high
+        middle, lower = base + high / 2, base + (high - side) / 2
+        game = _Watched(name)
         images = [game.reset(seed=1)[0]]
         for action in np.random.default_rng(0).integers(len(game.actions), size=60):
             images.append(game.step(int(action))[0])
-        axes[0].imshow(game.render())
-        axes[0].set_title(f"{GAMES[name].title}: 160 x 210, colour", fontsize="small", loc="left")
-        for place, image in enumerate(images[-4:], start=1):
-            axes[place].imshow(image, cmap="gray", vmin=0, vmax=255)
-            axes[place].set_title(["84 x 84, grey", "", "", "newest"][place - 1], fontsize="small")
-        for panel in axes:
-            panel.axis("off")
+        for picture, x in zip(list(game.pictures)[-2:], frames, strict=True):
+            show(picture, x, base, high)
+        show(game.maximum(), greatest, base, high)
+        show(images[-1], small, lower, side)
+        for place, image in enumerate(images[-stack:]):  # the newest in front
+            depth = stack / 2 - 0.5 - place
+            show(image, stacked + place * shift, lower + depth * 0.12, side)
+        arrow(frames[1] + side + 0.05, greatest - 0.05, middle, "grey,\nmaximum")
+        arrow(greatest + side + 0.05, small - 0.05, middle, "resize")
+        arrow(small + side + 0.05, stacked - 0.05, middle, "stack")
+        sheet.text(0.1, middle, GAMES[name].title, rotation=90, va="center", weight="bold", size=9)
+    ends = stacked + side + (stack - 1) * shift
+    heads = (
+        ((frames[0] + frames[1] + side) / 2, "the last two of four frames"),
+        (greatest + side / 2, "grey, 160 × 210"),
+        (small + side / 2, f"{SIZE} × {SIZE}"),
+        ((stacked + ends) / 2, f"observation: {stack} images"),
+    )
+    for x, text in heads:
+        sheet.text(x, height - 0.2, text, ha="center", va="center", size=9, color=INK)
+    lane = 0.3
+    places = (heads[0][0], (greatest + small + side) / 2, heads[3][0])
+    told = (
+        "points of the four\nframes, added up",
+        "clipped to\n−1, 0 or 1",
+        "reward that is\nlearnt from",
+    )
+    box = {"boxstyle": "round,pad=0.35", "fc": "0.95", "ec": SOFT, "lw": 0.8}
+    for x, text in zip(places, told, strict=True):
+        sheet.text(x, lane, text, ha="center", va="center", size=9, color=INK, bbox=box)
+    for start, end in pairwise(places):
+        arrow(start + 0.72, end - 0.6, lane, "")
     return figure

@@ -1,13 +1,12 @@
 """The figures and tables that every section about an experiment has."""
 
-from collections.abc import Iterable
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 import pandas as pd
 
 from atari_dqn import params
-from atari_dqn.analysis.statistics import MILESTONES, interval, scores_at_milestones, with_interval
+from atari_dqn.analysis.statistics import MILESTONES, interval, scores_at_milestones
 from atari_dqn.analysis.study import Section, data
 from atari_dqn.params import HELD_OUT_STATES, VALUE_GAMES, VALUES_PERIOD
 from atari_dqn.report import plots
@@ -28,40 +27,64 @@ def show_curves(section: Section) -> None:
         return
     if section.episodes.episode.max() < window:
         show_absent(
-            label, f"A learning curve, of means of {window} games, follows after that many games."
+            label,
+            f"A learning curve, of means of {window} episodes, follows after that many episodes.",
         )
         return
-    game = section.params.game
-    published = data("published")
+    published, game = data("published"), section.params.game
     points = {"frames": published["frames"], **published.get(game, {})}
-    figure, hover = plots.learning_curves(
-        section.episodes, facts, window, points if section.default_difficulty else None
+    source = source_points(section)
+    figure = plots.learning_curves(
+        section.episodes, facts, window, points if section.default_difficulty else None, source
     )
-    references = " Dotted: a human tester and random play"
-    if game in published:
-        references += "; the marks are agents trained with sticky actions [@dopamine2018]"
+    caption = [
+        f"{facts.title}, `{section.params.experiment}`: raw score while training, with "
+        "exploration, against episodes, frames and processor time (on one core); each point is "
+        f"the mean of the last {window} episodes ({section.counted()}). Without sticky actions."
+    ]
+    seeds = section.episodes.groupby("agent").seed.nunique().max()
+    if seeds >= plots.SEEDS_OF_A_BAND:
+        caption.append("Thin: seeds; bold: their mean, with its 95% interval (Student's t).")
+    if not source.empty:
+        caption.append(
+            f"Hollow circles: the source report's means of the last {section.milestone_window} "
+            "episodes."
+        )
+    if section.default_difficulty:
+        caption.append("Dotted: a human tester and random play.")
+        if game in published:
+            caption.append("Grey marks: agents trained with sticky actions [@dopamine2018].")
     show_figure(
         figure,
         label=label,
-        caption=f"{facts.title}, `{section.params.experiment}`: raw score while training, with "
-        f"exploration, against games, frames and hours (by the clock, on a machine that had other "
-        f"work at times); each point is the mean of the last {window} games "
-        f"({section.counted()}). Without sticky actions."
-        + f"{references}."
-        * section.default_difficulty,
-        alt=f"Learning curves of the agents in {facts.title}: mean score against games played, "
-        "frames and hours.",
+        caption=" ".join(caption),
+        alt=f"Learning curves of the agents in {facts.title}: mean score against training "
+        "episodes, frames and processor time.",
         data=section.origin + "episodes.csv and timing.csv",
-        hover=hover,
     )
+
+
+def _milestones(section: Section) -> tuple[int, ...]:
+    step = section.params.episodes / len(MILESTONES)
+    return tuple(dict.fromkeys(round(step * (index + 1)) for index in range(len(MILESTONES))))
+
+
+def source_points(section: Section) -> pd.DataFrame:
+    """The source report's scores at the milestones of an experiment as long as its own: columns
+    agent, episode and score; empty where it has none of an agent of the section."""
+    source, rows = data("source_report"), []
+    if _milestones(section) == MILESTONES:
+        for agent, scores in source.get(section.params.experiment, {}).items():
+            if agent in section.params.agents:
+                rows += [(agent, *point) for point in zip(source["marks"], scores, strict=True)]
+    return pd.DataFrame(rows, columns=["agent", "episode", "score"])
 
 
 def show_milestones(section: Section) -> None:
     """The mean score of the last games at each milestone that a run has reached, and the source
     report's."""
     label = f"tbl-{section.slug}-marks"
-    step = section.params.episodes / len(MILESTONES)
-    milestones = tuple(dict.fromkeys(round(step * (index + 1)) for index in range(len(MILESTONES))))
+    milestones = _milestones(section)
     if section.episodes.empty:
         show_placeholders(label)
         return
@@ -109,11 +132,14 @@ def show_evaluations(section: Section) -> None:
     games = section.evaluations.groupby(["agent", "seed"]).size().min()
     p = section.params
     show_figure(
-        plots.score_distributions(section.evaluations),
+        plots.score_distributions(
+            section.evaluations, section.facts if section.default_difficulty else None
+        ),
         label=figure,
-        caption=f"{section.facts.title}, `{p.experiment}`: scores of the evaluation games "
-        f"({games} games a run; {p.evaluation_epsilon:.1%} of the actions are random).",
-        alt=f"Box plots of each agent's evaluation scores in {section.facts.title}.",
+        caption=f"{section.facts.title}, `{p.experiment}`: scores of the evaluation episodes "
+        f"({games} per run; {p.evaluation_epsilon:.1%} of the actions are random). Diamonds: the "
+        "mean of each run, with its 95% interval (bootstrap over episodes).",
+        alt=f"Dots for each agent's evaluation scores in {section.facts.title}, and their means.",
         data=section.origin + "evaluations.csv",
     )
     rows = [
@@ -177,13 +203,13 @@ def show_discounts(sections: list[Section], agent: str, label: str) -> None:
     window, facts = sections[0].curve_window, sections[0].facts
     curves = [curve for curve in curves if len(curve) >= window]
     if len(curves) < 2:
-        show_placeholders(label)
+        show_absent(label, "Curves of several discounts follow when two of them have been trained.")
         return
     show_figure(
         plots.comparison(pd.concat(curves), facts, window, "variation"),
         label=label,
         caption=f"{facts.title}: {params.title(agent)} with different discounts; mean raw score of "
-        f"the last {window} training games.",
+        f"the last {window} training episodes.",
         alt="Learning curves of one agent with different discounts.",
         data=", ".join(section.origin for section in sections),
     )
@@ -214,20 +240,25 @@ def _summary(section: Section, games: pd.DataFrame) -> dict:
 def show_values(section: Section) -> None:
     """Predicted against realised values: what overestimation is measured by."""
     label = f"fig-{section.slug}-values"
-    if section.values.empty:
-        show_placeholders(label)
+    if section.values.empty:  # in a chapter of several badges, so the reason stands here
+        title = section.facts.title
+        show_absent(
+            label,
+            f"The values in {title} follow: they are checked every {VALUES_PERIOD} training "
+            "episodes.",
+        )
         return
     show_figure(
         plots.value_errors(section.values),
         label=label,
         caption=f"{section.facts.title}, `{section.params.experiment}`: the value that the "
-        f"network predicts for the states of {VALUE_GAMES} greedy games (solid), and the "
-        "discounted return that followed them, in rewards as the agent learns from them (dashed), "
-        f"every {VALUES_PERIOD} training games. Where the prediction lies above what followed, the "
-        f"network overestimates. A point is {VALUE_GAMES} games, so that single dips mean little. "
-        f"Dotted: the prediction for {HELD_OUT_STATES} states of random play, always the same "
-        f"({section.counted()}).",
-        alt="Predicted and realised values of states against training games, a panel an agent.",
+        f"network predicts for the states of {VALUE_GAMES} greedy episodes (dots), and the "
+        "discounted return that followed them, in rewards as the agent learns from them (grey "
+        f"circles), every {VALUES_PERIOD} training episodes. Shaded: the network overestimates. A "
+        f"point is {VALUE_GAMES} episodes, so single dips mean little. Pale line: the prediction "
+        f"for {HELD_OUT_STATES} states of random play, always the same ({section.counted()}).",
+        alt="Predicted and realised values of states against training episodes, one panel per "
+        "agent.",
         data=section.origin + "values.csv",
     )
 
@@ -243,16 +274,17 @@ def show_variations(section: Section, reference: Section, agent: str) -> None:
     unchanged = reference.episodes
     if not unchanged.empty:
         unchanged = unchanged[(unchanged.agent == agent) & (unchanged.episode <= games)]
-        sweep = pd.concat([unchanged.assign(variation="unchanged"), sweep])
     show_figure(
-        plots.comparison(sweep, section.facts, window, "variation"),
+        plots.small_multiples(sweep, unchanged, agent, window),
         label=figure,
-        caption=f"{section.facts.title}, `{section.params.experiment}`: one change at a time, "
-        f"{params.title(agent)}; mean raw score of the last {window} training games "
-        f"({section.counted()}).",
-        alt="Learning curves of the variations and of the unchanged set-up.",
+        caption=f"{section.facts.title}, `{section.params.experiment}`: one change per panel, "
+        f"{params.title(agent)}, beside the unchanged set-up; mean raw score of the last {window} "
+        f"training episodes ({section.counted()}).",
+        alt="A panel per change with two learning curves: with the change, and unchanged.",
         data=section.origin + "episodes.csv",
     )
+    if not unchanged.empty:
+        sweep = pd.concat([unchanged.assign(variation="unchanged"), sweep])
     last = sweep[sweep.episode > sweep.groupby("variation").episode.transform("max") - window]
     evaluated = section.evaluations
     greedy = {} if evaluated.empty else evaluated.groupby("variation").score.mean().to_dict()
@@ -281,50 +313,57 @@ def show_variations(section: Section, reference: Section, agent: str) -> None:
     )
 
 
-LOWEST = -100.0  # points, the worst that a game of Boxing can end with
+LOWEST = -100.0  # points, the worst that an episode of Boxing can end with
 
 
 def show_transfer(transferred: Section, scratch: Section) -> None:
     """What starting from another game's agent is worth (Taylor and Stone, 2009)."""
-    label, window = "tbl-transfer", transferred.milestone_window
+    label = "tbl-transfer"
+    early, late = scratch.milestone_window, transferred.milestone_window  # as in the claim
     rows = []
     for agent in transferred.params.agents:
         pair = (transferred, scratch)
         ours, theirs = (_curve(section, agent) for section in pair)
-        games = min(len(ours), len(theirs))  # that both have played
-        if games < window:
+        played = min(len(ours), len(theirs))
+        if played < max(early, late):
             continue
-        gain = ours[:games] - theirs[:games]
-        early = [_greedy(section, agent, window) for section in pair]
+        gain = ours[:played] - theirs[:played]
+        greedy = [_greedy(section, agent, early) for section in pair]
         rows.append(
             {
                 "agent": params.title(agent),
-                "games": games,
-                "early, greedy": early[0] - early[1],
-                "area ratio": gain.sum() / (theirs[:games] - LOWEST).sum(),
-                "at the end": gain[-window:].mean(),
+                "episodes": played,
+                "early": gain[:early].mean(),
+                "early, greedy": greedy[0] - greedy[1],
+                "area ratio": gain.sum() / (theirs[:played] - LOWEST).sum(),
+                "at the end": gain[-late:].mean(),
             }
         )
     if not rows:
-        show_placeholders(label)
+        if transferred.complete:
+            show_absent(label, f"Both runs need {max(early, late)} episodes to be compared.")
+        else:
+            show_placeholders(label)
         return
     show_table(
         pd.DataFrame(rows),
         label=label,
-        caption=f"{transferred.facts.title}: what the start from Breakout is worth, over the games "
-        f"that both runs have played: difference in points in the greedy games ({VALUE_GAMES} a "
-        f"check) of the first {window} training games; area between the curves as a share of that "
-        f"from {LOWEST:g} points to the curve from scratch; difference in points in the last "
-        f"{window} training games.",
+        caption=f"{transferred.facts.title}: what the start from Breakout is worth, over the "
+        "episodes that both runs have played. *Early* is the difference in points over the first "
+        f"{early} training episodes, while training and in the greedy episodes of the checks among "
+        f"them ({VALUE_GAMES} per check); *at the end*, that over the last {late} training "
+        "episodes. The area between the two curves is given as a share of the area between the "
+        f"curve from scratch and {LOWEST:g} points, the lowest score there is.",
     )
 
 
-def _greedy(section: Section, agent: str, games: int) -> float:
-    """Mean score of the greedy games during an agent's first training games; nan without any."""
+def _greedy(section: Section, agent: str, episodes: int) -> float:
+    """Mean score of the greedy episodes during an agent's first training episodes; nan without
+    any."""
     values = section.values
     if values.empty:
         return np.nan
-    return values[(values.agent == agent) & (values.episode <= games)].score.mean()
+    return values[(values.agent == agent) & (values.episode <= episodes)].score.mean()
 
 
 def _curve(section: Section, agent: str) -> np.ndarray:
@@ -336,32 +375,47 @@ def _curve(section: Section, agent: str) -> np.ndarray:
     return own[own.episode <= reached].groupby("episode").score.mean().to_numpy()
 
 
-def show_playstyle(sections: Iterable[Section], label: str) -> None:
-    """A row an evaluated run: points scored and conceded a minute, and the boxers' distance."""
-    rows: list[dict[str, Any]] = []
-    for section in sections:
-        if section.evaluations.empty:
-            continue
-        for (agent, seed), games in section.evaluations.groupby(["agent", "seed"], sort=False):
-            row = {
-                "discount": f"{section.params.gamma:g}",
-                "agent": params.title(str(agent)),
-                "seed": seed,
-                "training games": int(games.trained_games.max()),
-            }
-            for column, name in (
-                ("scored_a_minute", "points scored"),
-                ("conceded_a_minute", "points conceded"),
-                ("distance", "distance (pixels)"),
-            ):
-                row[name] = with_interval(games[column].to_numpy())
-            rows.append(row)
-    if not rows:
-        show_absent(label, "A table of play styles follows when an agent has been evaluated.")
+def show_playstyle(sections: Sequence[Section], label: str) -> None:
+    """How one agent boxes with different discounts: a row per part of the training and run."""
+    measured = [section for section in sections if not section.styles.empty]
+    if len(measured) < 2:
+        show_absent(
+            label,
+            "A table of play styles follows when two discounts have been trained. (Styles are "
+            "measured when the report is made, in the greedy episodes that are on record.)",
+        )
         return
+    rows = []
+    for first in range(1, max(section.params.episodes for section in measured), PART):
+        for section in sorted(measured, key=lambda section: section.params.gamma):
+            part = section.styles[section.styles.episode.between(first, first + PART - 1)]
+            if not part.empty:
+                rows.append(
+                    {
+                        "training episodes": f"{first:,} to {first + PART - 1:,}",
+                        "discount": f"{section.params.gamma:g}",
+                        "score": part.score.mean(),
+                        **{name: part[column].mean() for column, name in STYLE.items()},
+                        "within reach": f"{part.reach.mean():.0%}",
+                    }
+                )
+    agent = params.title(measured[0].styles.agent.iloc[0])
     show_table(
         pd.DataFrame(rows),
         label=label,
-        caption="How the agents box in the greedy games of their evaluation: points a minute, and "
-        "the mean distance of the two boxers, with bootstrap intervals over games.",
+        caption=f"How {agent} boxes with different discounts, in the greedy episodes of the checks "
+        f"along its training ({VALUE_GAMES} every {VALUES_PERIOD} training episodes): points and "
+        "punches per minute, mean distance of the two boxers in pixels, and the share of the time "
+        "in which they stand so near that a punch can land. Style and skill go together: compare "
+        "rows of the same training episodes, and rows of about the same score.",
+        decimals=1,
     )
+
+
+PART = 500  # training episodes that a row of play styles is the mean of
+STYLE = {
+    "scored_per_minute": "points scored",
+    "conceded_per_minute": "points conceded",
+    "punches_per_minute": "punches thrown",
+    "distance": "distance",
+}

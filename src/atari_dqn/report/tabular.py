@@ -14,16 +14,16 @@ import pandas as pd
 import seaborn as sns
 from matplotlib import pyplot as plt
 from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
 
 from atari_dqn.analysis.statistics import trailing_mean
-from atari_dqn.report.plots import WIDTH
+from atari_dqn.report.plots import SOFT, WIDTH, shades
 from atari_dqn.schedules import epsilon_greedy
 
 ROWS, COLUMNS = 4, 12
 START, GOAL = 36, 47  # the lower corners; the cells between them are the cliff
 SHORTEST = -13  # points; up, eleven times right, down
 ARROWS = "↑→↓←"  # the four actions
-PALETTE = sns.color_palette("colorblind")
 WINDOW = 20  # games that a point of the learning curve is the mean of
 
 
@@ -73,7 +73,7 @@ def learn(
 def compare(
     schemes: dict[str, Callable[[int], float]], games: int, seeds: Iterable[int]
 ) -> pd.DataFrame:
-    """A row a game of every exploration scheme and seed: exploration, seed, game, score, mean."""
+    """A row per game of every exploration scheme and seed: exploration, seed, game, score, mean."""
     tables = []
     for name, epsilon in schemes.items():
         for seed in seeds:
@@ -95,26 +95,29 @@ def greedy_path(q: np.ndarray) -> list[int]:
 
 
 def grid_figure(q: np.ndarray) -> Figure:
-    """The table as a map: each cell's greatest value and best action, and the greedy path."""
+    """The table as a map: each cell's greatest value and best action. Framed: the greedy path."""
     values, best = q.max(axis=1), q.argmax(axis=1)
     figure, axes = plt.subplots(figsize=(WIDTH, 2.2))
     shown = np.ma.masked_where(np.isin(np.arange(len(q)), range(START + 1, GOAL + 1)), values)
     low, high = shown.min(), shown.max()
+    path = shades(2)[-1]
     axes.pcolormesh(
         shown.reshape(ROWS, COLUMNS),
-        cmap=sns.light_palette(PALETTE[0], as_cmap=True),
+        cmap=sns.light_palette("0.55", as_cmap=True),
         vmin=low,
         vmax=high + (high - low),  # only the lighter half of the palette, that text be legible
         edgecolor="white",
         linewidth=1.5,
     )
-    rows, columns = np.divmod(greedy_path(q), COLUMNS)
-    axes.plot(columns + 0.5, rows + 0.5, color=PALETTE[1], lw=12, alpha=0.3)
+    for cell in greedy_path(q):
+        row, column = divmod(cell, COLUMNS)
+        frame = Rectangle((column + 0.06, row + 0.06), 0.88, 0.88, fill=False, ec=path, lw=1.5)
+        axes.add_patch(frame)
     for cell in np.flatnonzero(~shown.mask):
         row, column = divmod(cell, COLUMNS)
         text = f"{ARROWS[best[cell]]}\n{values[cell]:.1f}".replace("-", "−")
-        axes.text(column + 0.5, row + 0.5, text, size=7, ha="center", va="center")
-    axes.fill_between([1.04, COLUMNS - 1.04], ROWS - 0.96, ROWS, color="0.88")
+        axes.text(column + 0.5, row + 0.5, text, size=8, linespacing=1.3, ha="center", va="center")
+    axes.fill_between([1.04, COLUMNS - 1.04], ROWS - 0.96, ROWS - 0.04, color="0.88", lw=0)
     for column, name in ((COLUMNS / 2, "cliff: −100, and back to the start"), (11.5, "goal")):
         axes.text(column, ROWS - 0.5, name, ha="center", va="center")
     axes.text(0.5, ROWS + 0.1, "start", ha="center", va="top")
@@ -127,9 +130,10 @@ def curves_figure(scores: pd.DataFrame) -> Figure:
     """Points while learning, of each exploration scheme: mean and range of its seeds."""
     figure, axes = plt.subplots(figsize=(WIDTH, 2.6))
     shared = {"x": "game", "y": "mean", "hue": "exploration", "style": "exploration"}
-    sns.lineplot(scores, **shared, palette="colorblind", errorbar=("pi", 100), ax=axes)
-    axes.axhline(SHORTEST, color="0.45", lw=0.8, ls=":", label=f"shortest way: −{-SHORTEST}")
-    axes.set(xlabel="games played", ylabel=f"points, mean of {WINDOW} games", ylim=(-150, 0))
+    shared["palette"] = shades(scores.exploration.nunique())
+    sns.lineplot(scores, **shared, errorbar=("pi", 100), ax=axes)
+    axes.axhline(SHORTEST, color=SOFT, lw=0.8, ls=":", label=f"shortest way: −{-SHORTEST}")
+    axes.set(xlabel="episodes", ylabel=f"points, mean of {WINDOW} episodes", ylim=(-150, 0))
     axes.legend(loc="lower right")
     return figure
 
@@ -154,8 +158,8 @@ def overestimation(actions: Iterable[int], samples: int, seed: int = 0) -> pd.Da
 def overestimation_figure(believed: pd.DataFrame) -> Figure:
     """What is believed of the best action, against the number of actions."""
     figure, axes = plt.subplots(figsize=(WIDTH, 2.4))
-    shared = {"hue": "valued by", "style": "valued by", "markers": True, "palette": "colorblind"}
-    sns.lineplot(believed, x="actions", y="believed", **shared, ax=axes)
+    shared = {"hue": "valued by", "style": "valued by", "markers": True}
+    sns.lineplot(believed, x="actions", y="believed", palette=shades(2)[::-1], **shared, ax=axes)
     ticks = {2: "2", 4: "4\nBreakout", 8: "8", 12: "12", 18: "18\nBoxing"}
     axes.set(xlabel="", ylabel="believed value of the best\naction (true value: 0)")
     axes.set_xticks(list(ticks), [f"{name}" for name in ticks.values()])

@@ -40,13 +40,11 @@ Colour = tuple[int, int, int]  # red, green, blue
 WIDTH, MARGIN, TOP = 720, 16, 48  # pixels; the television pictures begin at TOP
 RIGHT, GAP = 352, 4  # pixels; the right column of a video with instruments, between its images
 PACE = 2  # pixels a trace moves on every step; whole, so that the encoder can copy what was there
-STRIP = 6  # pictures of a strip
+MOMENTS = 4, 5  # pictures of a game in a strip: of one or two games; of more, smaller ones
 
-# Okabe and Ito's colours, for the colour-blind, which hold their own on a dark ground
 GROUND, PANEL, RULE = (20, 23, 26), (34, 38, 42), (70, 76, 82)
 INK, SOFT, BAR = (238, 240, 241), (170, 178, 184), (118, 126, 133)
-CHOSEN, RANDOM = (230, 159, 0), (224, 142, 188)
-LINES: tuple[Colour, ...] = ((86, 180, 233), (230, 159, 0), (0, 178, 130))  # contestants, in order
+WHITE_IN = 0.3  # of an agent's colour, so that it holds its own on a dark ground
 
 # The pictures are flat and mostly still, and what flickers keeps returning to how it was before:
 # key pictures may be rare, and many earlier pictures are worth remembering.
@@ -111,6 +109,19 @@ class _Recording:
     scores: np.ndarray  # points, float [T + 1]: before every step, and at the end
 
     @property
+    def agent(self) -> str:
+        return self.params.agents[0]
+
+    @property
+    def colour(self) -> Colour:
+        """The agent's, as in all figures, for a dark ground."""
+        red, green, blue = (
+            round(255 * (share + (1 - share) * WHITE_IN))
+            for share in plots.STYLES[self.agent].colour
+        )
+        return red, green, blue
+
+    @property
     def rate(self) -> Fraction:
         """Steps a second."""
         return Fraction(60, self.params.frame_skip)
@@ -171,7 +182,8 @@ def _video(recordings: dict[str, _Recording], seconds: Seconds) -> Video:
         raise ValueError(f"seconds {seconds}: the game lasts {float(longest / rate):.1f} s")
     stage = _Stage(recordings)
     poster, poster_step = b"", _telling(games, steps)
-    moments = np.linspace(steps[0], steps[-1], STRIP).round().astype(int).tolist()
+    pictures = MOMENTS[len(games) > 2]
+    moments = np.linspace(steps[0], steps[-1], pictures).round().astype(int).tolist()
     kept = {}  # the television pictures of the moments
 
     def drawn() -> Iterator[np.ndarray]:
@@ -234,7 +246,7 @@ def _telling(games: list[_Recording], steps: range) -> int:
 
 
 class _Stage:
-    """A canvas with a column a game, and for a single one its network's mind beside it."""
+    """A canvas with a column per game, and for a single one its network's mind beside it."""
 
     def __init__(self, recordings: dict[str, _Recording]):
         games = list(recordings.values())
@@ -242,10 +254,8 @@ class _Stage:
         height = TOP + width * 210 // 160 + 148
         self.canvas = np.full((height + height % 2, WIDTH, 3), GROUND, np.uint8)  # H.264: even
         self.columns = [
-            _Column(self.canvas[:, x : x + width], name, recordings, colour)
-            for name, x, colour in zip(
-                recordings, range(MARGIN, WIDTH, width + MARGIN), cycle(LINES), strict=False
-            )
+            _Column(self.canvas[:, x : x + width], name, recordings)
+            for name, x in zip(recordings, range(MARGIN, WIDTH, width + MARGIN), strict=False)
         ]
         single = len(games) == 1
         self.mind = _Mind(self.canvas[:, RIGHT:-MARGIN], games[0]) if single else None
@@ -274,12 +284,10 @@ class _Column:
     top won, inverted ones at the bottom lost.
     """
 
-    def __init__(
-        self, view: np.ndarray, name: str, recordings: dict[str, _Recording], colour: Colour
-    ):
-        self.view, self.game, self.colour = view, recordings[name], colour
-        width = view.shape[1]
-        _write(view, name, 0, 34, 19, INK, bold=True)
+    def __init__(self, view: np.ndarray, name: str, recordings: dict[str, _Recording]):
+        self.view, self.game = view, recordings[name]
+        width, self.colour = view.shape[1], self.game.colour
+        _write(view, name, 0, 34, 19, self.colour, bold=True)
         self.screen = view[TOP : TOP + width * 210 // 160]
         self.under = view[self.screen.shape[0] + TOP :]  # score, clock and value, then the trace
         values = np.concatenate([game.values for game in recordings.values()])
@@ -343,8 +351,9 @@ class _Mind:
     """The observation, and the Q-value of every action as a bar from their mean.
 
     Q-values of one state differ far less than those of different states; for a dueling network
-    the bars are its advantages A(s, a). The chosen action is bright. One that was chosen at random
-    instead of a better one stays marked for half a second. A bar with a white end is cut short.
+    the bars are its advantages A(s, a). The chosen action has the agent's colour. One that was
+    chosen at random instead of a better one is white, and stays marked for half a second. A bar
+    with a white end is cut short.
     """
 
     def __init__(self, view: np.ndarray, game: _Recording):
@@ -390,7 +399,7 @@ class _Mind:
             top, bottom = row * self.pitch, (row + 1) * self.pitch
             colour = BAR
             if row == self.game.actions[now]:
-                colour = RANDOM if self.random[now] else CHOSEN
+                colour = INK if self.random[now] else self.game.colour
                 self.bars[top:bottom, : self.left] = GROUND
                 at = (self.left - 8, self._baseline(row))
                 _write(self.bars, self.names[row], *at, 17, INK, align=1)
@@ -400,7 +409,7 @@ class _Mind:
                 self.bars[top + inset : bottom - inset, tip] = INK
             if row in guessed:
                 at = (self.bars.shape[1] - 6, self._baseline(row))
-                _write(self.bars, "random", *at, 17, RANDOM, True, 1)
+                _write(self.bars, "random", *at, 17, INK, True, 1)
 
 
 def _words(action: str) -> str:
@@ -452,34 +461,54 @@ def _strip(
 ) -> bytes:
     """The television pictures in `kept` (by step), above the values of all `steps`."""
     rows, buffer = len(recordings), io.BytesIO()
-    inch = 1 / (1.42 * rows + 1.7)  # as a share of the figure's height
+    left, right, gap = 0.35 if rows == 1 else 0.55, 0.1, 0.08  # inches
+    side = (plots.WIDTH - left - right + gap) / len(kept) - gap
+    pitch, below = side * 210 / 160 + 0.24, 1.3
+    height = 0.25 + rows * pitch + below
     with mpl.rc_context():
         plots.style()
-        figure = Figure(figsize=(plots.WIDTH, 1 / inch), layout="none")
-        room = {"left": 0.095, "right": 0.98, "top": 1 - 0.25 * inch, "bottom": 1.65 * inch}
-        grid = figure.add_gridspec(rows, STRIP, **room, wspace=0.06, hspace=0.2)
-        course = figure.add_axes((0.095, 0.42 * inch, 0.885, 0.75 * inch))
-        styles = zip(plots.COLOURS.values(), ("-", "--", ":", "-."), strict=False)
-        for row, ((name, game), (colour, line)) in enumerate(
-            zip(recordings.items(), cycle(styles), strict=False)
+        figure = Figure(figsize=(plots.WIDTH, height), layout="none")
+
+        def place(x: float, y: float, width: float, high: float) -> tuple[float, ...]:
+            """Inches as shares of the figure."""
+            return x / plots.WIDTH, y / height, width / plots.WIDTH, high / height
+
+        course = figure.add_axes(place(left, 0.47, plots.WIDTH - left - right, 0.5))
+        for row, ((name, game), look) in enumerate(
+            zip(recordings.items(), _looks(recordings), strict=True)
         ):
             rate, last = float(game.rate), len(game.actions)
-            for place, (step, screens) in enumerate(kept.items()):
-                axes = figure.add_subplot(grid[row, place], frame_on=False, xticks=[], yticks=[])
-                axes.imshow(screens[row])
+            for column, (step, screens) in enumerate(kept.items()):
+                x, y = left + column * (side + gap), below + (rows - 1 - row) * pitch + 0.22
+                where = place(x, y, side, side * 210 / 160)
+                axes = figure.add_axes(where, frame_on=False, xticks=[], yticks=[])
+                axes.imshow(screens[row], aspect="auto")
                 score = f"score {_number(game.scores[min(step, last)])}"
-                axes.set_xlabel(score + ", end" * (step >= last), fontsize="small")
+                axes.set_xlabel(score + ", end" * (step >= last), fontsize="small", labelpad=2)
                 if row == 0:
-                    axes.set_title(f"{step / rate:.1f} s", fontsize="medium")
-                if place == 0 and rows > 1:
-                    axes.set_ylabel(name, fontsize="small")
+                    axes.set_title(f"{step / rate:.1f} s", fontsize="medium", pad=3)
+                if column == 0 and rows > 1:
+                    axes.set_ylabel(name, fontsize="medium", color=look.colour)
             shown = np.arange(steps.start, min(steps.stop, last))
-            label = f"{name}: {game.symbol}"
-            course.plot(shown / rate, game.values[shown], line, color=colour, lw=1, label=label)
+            label, how = f"{name}: {game.symbol}", {"color": look.colour, "ls": look.line}
+            course.plot(shown / rate, game.values[shown], lw=1.1, label=label, **how)
         for step in kept:
             course.axvline(step / rate, color="0.6", lw=0.8, zorder=0)
-        course.set(xlabel="seconds")
+        course.set_xlabel("seconds", labelpad=2)
         course.margins(x=0.01)
-        course.legend(ncols=rows, loc="lower left", bbox_to_anchor=(0, 0.97))
+        course.locator_params(axis="y", nbins=3)
+        course.legend(ncols=rows, loc="lower left", bbox_to_anchor=(-0.01, 0.95), fontsize="small")
         figure.savefig(buffer, format="png", dpi=200, metadata={"Software": None})
     return buffer.getvalue()
+
+
+def _looks(recordings: dict[str, _Recording]) -> list[plots.Style]:
+    """How each game's values are drawn: as its agent's; of one agent at several stages, as
+    shades."""
+    agents = [game.agent for game in recordings.values()]
+    if len(set(agents)) == len(agents):
+        return [plots.STYLES[agent] for agent in agents]
+    return [
+        plots.Style(shade, line)
+        for shade, line in zip(plots.shades(len(agents)), cycle(("--", "-")), strict=False)
+    ]

@@ -16,6 +16,7 @@ from atari_dqn.envs import EpisodeRecord, learned_reward
 from atari_dqn.params import Parameters
 from atari_dqn.runs import records
 from atari_dqn.runs.evaluations import evaluations_lock
+from atari_dqn.runs.files import RunError
 from atari_dqn.runs.records import EVALUATION, KEYS, TRAINING, VALUES, Game, Heading, RecordError
 from atari_dqn.runs.run import COMPLETE
 
@@ -31,7 +32,7 @@ COMPARED = {
 }
 
 
-class Difference(Exception):
+class Difference(RunError):
     """A stored run whose tables and records do not agree; the message says where first."""
 
 

@@ -22,10 +22,12 @@ import numpy as np
 from safetensors import SafetensorError
 from safetensors.numpy import load_file, save_file
 
+from atari_dqn.runs.files import RunError
+
 KEPT = 2  # checkpoints: the newest, and the one before it in case the newest is damaged
 
 
-class CheckpointError(RuntimeError):
+class CheckpointError(RunError):
     """No checkpoint can be written or read; the message says which file and why."""
 
 

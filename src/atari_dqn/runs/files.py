@@ -6,7 +6,7 @@ from pathlib import Path
 
 
 class RunError(RuntimeError):
-    """A run that cannot be trained or played; the message is one line, to be shown to a user."""
+    """Something about stored runs that a user can mend; the message is fit to be shown as it is."""
 
 
 def project_root() -> Path:

@@ -61,7 +61,7 @@ def planned(profile: str, names: list[str], results: Path | None) -> list[Run]:
 
 
 def status(wanted: list[Run]) -> pd.DataFrame:
-    """One row a run: experiment (and variation), agent, seed, state, games (done), episodes
+    """One row per run: experiment (and variation), agent, seed, state, games (done), episodes
     (wanted), score (mean of the last 100 games), hours_left (of one core, at the pace of the last
     100 games; of a run that has none, at the mean pace of the game's other runs; else nan)."""
     rows = []

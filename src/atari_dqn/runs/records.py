@@ -24,6 +24,7 @@ import zstandard
 
 from atari_dqn.envs import AtariEnv, EpisodeRecord, make_env
 from atari_dqn.params import Parameters
+from atari_dqn.runs.files import RunError
 
 FILE = "games.jsonl.zst"
 TRAINING, VALUES, EVALUATION = "training", "values", "evaluation"
@@ -36,7 +37,7 @@ Heading = dict[str, Any]  # kind, episode, ...: what tells a game from all other
 Game = tuple[Heading, EpisodeRecord]
 
 
-class RecordError(RuntimeError):
+class RecordError(RunError):
     """A file of records that cannot be read; the message names it."""
 
 

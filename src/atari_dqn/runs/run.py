@@ -2,13 +2,13 @@
 
     runs/<experiment>/<agent>/seed-<n>/
         params.yaml         every parameter, resolved
-        episodes.csv        a row a training game (training.Episode); the same bytes every time
+        episodes.csv        a row per training game (training.Episode); the same bytes every time
         timing.csv          episode; seconds of training so far, by the clock and of the
                             processor; not reproducible
         values.csv          a row every 100 games: predicted and realised values
                             (evaluation.ValueCheck)
-        evaluations.csv     a row a game of greedy play (evaluation.EvaluationEpisode, and the games
-                            of training behind the model)
+        evaluations.csv     a row per game of greedy play (evaluation.EvaluationEpisode, and the
+                            games of training behind the model)
         games.jsonl.zst     what every game of these tables can be played again from (`records`)
         model.safetensors   the online network, float16, as of the last checkpoint
         snapshots/          the same after the games that `snapshot_games` names
@@ -63,6 +63,12 @@ class Run:
     @property
     def folder(self) -> Path:
         return self.results / "runs" / self.name
+
+    @property
+    def styles(self) -> Path:
+        """What `styles.measure` finds in the run's records: a file beside the runs, which are left
+        as training wrote them."""
+        return self.results / "styles" / f"{self.name}.csv"
 
     @property
     def state_folder(self) -> Path:

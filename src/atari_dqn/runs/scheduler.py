@@ -1,4 +1,4 @@
-"""Training the runs that are missing, one process a core."""
+"""Training the runs that are missing, one process per core."""
 
 import multiprocessing
 import os
@@ -13,12 +13,11 @@ from typing import Any
 
 from atari_dqn.params import ParameterError
 from atari_dqn.runs import recorder
-from atari_dqn.runs.checkpoints import CheckpointError
 from atari_dqn.runs.files import RunError
 from atari_dqn.runs.plan import DAMAGED
 from atari_dqn.runs.run import COMPLETE, MISSING, STALE, Run
 
-KNOWN = (RunError, CheckpointError, ParameterError)  # whose messages say what to do
+KNOWN = (RunError, ParameterError)  # whose messages say what to do
 
 
 def startable(wanted: list[Run]) -> tuple[list[Run], list[str]]:
@@ -83,7 +82,7 @@ def left_waiting(pending: list[Run]) -> list[str]:
 
 
 def train_all(wanted: list[Run], workers: int | None = None) -> list[str]:
-    """Trains every run that is not complete, one process a core, in the order given.
+    """Trains every run that is not complete, one process per core, in the order given.
 
     A run that starts from another's model waits for it. One failing run does not stop the others;
     returns a line for each that failed or had to wait in vain. Ctrl-C and SIGTERM leave every run

@@ -98,33 +98,6 @@ light.addEventListener("click", (event) => {
   else light.close();
 });
 
-// The values of the curves at the pointer's place.
-for (const source of document.querySelectorAll("script.hover")) {
-  const figure = document.getElementById(source.dataset.figure);
-  const image = figure && (figure.matches("img") ? figure : figure.querySelector("img"));
-  if (!image) continue;
-  const { axes, curves, x_label: xLabel } = JSON.parse(source.textContent);
-  image.addEventListener("pointermove", (event) => {
-    const box = image.getBoundingClientRect();
-    const style = getComputedStyle(image);
-    const pad = parseFloat(style.paddingLeft);
-    const share = (event.clientX - box.left - pad) / (box.width - 2 * pad);
-    const x = axes.x_min + (share - axes.left) / axes.width * (axes.x_max - axes.x_min);
-    if (share < axes.left || share > axes.left + axes.width) { hideTip(); return; }
-    const lines = curves.flatMap(({ name, xs, ys }) => {
-      if (x < xs[0] || x > xs[xs.length - 1]) return [];
-      let nearest = 0;
-      for (let i = 1; i < xs.length; i += 1) {
-        if (Math.abs(xs[i] - x) < Math.abs(xs[nearest] - x)) nearest = i;
-      }
-      return [element("p", `${name}: ${ys[nearest].toFixed(1)}`)];
-    });
-    if (!lines.length) { hideTip(); return; }
-    showTip([element("p", `${xLabel} ${Math.round(x).toLocaleString("en")}`), ...lines], event.clientX, event.clientY);
-  });
-  image.addEventListener("pointerleave", hideTip);
-}
-
 // What is wider than the column scrolls within itself, and shows that there is more.
 function scrolls(inside) {
   const wide = document.createElement("div");

@@ -1,0 +1,93 @@
+"""How an agent boxes along its training: the greedy episodes of its checks, played again from their
+records."""
+
+import hashlib
+from dataclasses import astuple, dataclass, fields
+
+import numpy as np
+import pandas as pd
+from tqdm import tqdm
+
+from atari_dqn.envs import EpisodeRecord
+from atari_dqn.games import GAMES
+from atari_dqn.params import Parameters
+from atari_dqn.runs import records
+from atari_dqn.runs.files import write_atomically
+from atari_dqn.runs.run import Run
+
+# The experiments whose styles are compared, and the agent that all of them train
+EXPERIMENTS = ("boxing_low_gamma", "boxing_final", "boxing_high_gamma")
+AGENT = "dueling_double_dqn"
+ARMS = (55, 57)  # memory cells: how far each of the agent's arms is out
+REACH = 30  # pixels to the side, and up or down, beyond which no punch lands (results/benchmarks/
+# punches.csv)
+
+
+@dataclass(frozen=True)
+class Style:
+    """One greedy episode, a row of a run's file of styles."""
+
+    episode: int  # training episodes finished before it
+    game: int  # its number among the greedy episodes
+    digest: str  # of its record: whether it is the same episode still
+    frames: int  # emulator frames
+    score: float  # points
+    scored: float  # points of the agent alone
+    conceded: float  # points of its rival
+    punches: int  # that the agent threw
+    reach: float  # share of the steps in which a punch could have landed
+    distance: float  # pixels between the boxers, mean over the steps
+
+
+def measure(run: Run) -> None:
+    """Brings a run's file of styles up to date with its records; what is in it is not played
+    again. Raises RecordError if the records cannot be read."""
+    stored = (
+        pd.read_csv(run.styles, dtype={"digest": str}) if run.styles.exists() else pd.DataFrame()
+    )
+    known = {(row.episode, row.game, row.digest): row for row in stored.itertuples(index=False)}
+    greedy = [
+        (heading, record)
+        for heading, record in records.read_file(run.folder, torn=True)
+        if heading["kind"] == records.VALUES
+    ]
+    rows = []
+    for heading, record in tqdm(greedy, desc=f"styles of {run.name}", mininterval=2):
+        key = (heading["episode"], heading["game"], _digest(record))
+        rows.append(known.get(key) or astuple(_style(run.params, *key, record)))
+    table = pd.DataFrame(rows, columns=[field.name for field in fields(Style)])
+    run.styles.parent.mkdir(parents=True, exist_ok=True)
+    write_atomically(run.styles, table.to_csv(index=False).encode())
+
+
+def _digest(record: EpisodeRecord) -> str:
+    return hashlib.sha256(bytes([record.idle_frames]) + bytes(record.actions)).hexdigest()[:8]
+
+
+def _style(
+    params: Parameters, episode: int, game: int, digest: str, record: EpisodeRecord
+) -> Style:
+    boxers = np.array(GAMES[params.game].boxers)
+    punches, rested, reached, distances = 0, True, [], []
+    for env in records.replay(params, record):
+        memory = env.ram().astype(int)
+        resting = not memory[list(ARMS)].any()
+        if env.length:
+            punches += rested and not resting
+            gaps = np.abs(memory[boxers[0]] - memory[boxers[1]])
+            reached.append(bool((gaps <= REACH).all()))
+            distances.append(env.distance())
+        rested = resting
+    scored, conceded = env.points()
+    return Style(
+        episode,
+        game,
+        digest,
+        env.frames,
+        env.score,
+        scored,
+        conceded,
+        punches,
+        float(np.mean(reached)),
+        float(np.mean(distances)),
+    )

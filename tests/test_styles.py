@@ -1,0 +1,96 @@
+"""Styles are what the console's memory says while recorded greedy episodes are played again."""
+
+from itertools import pairwise
+
+import numpy as np
+import pandas as pd
+import pytest
+from ale_py import ALEInterface, roms
+from synthetic import settings
+
+from atari_dqn import params
+from atari_dqn.envs import EpisodeRecord
+from atari_dqn.report import ram
+from atari_dqn.runs import records, styles
+from atari_dqn.runs.run import Run
+
+STEPS = 120  # of a recorded episode, agent steps of four frames
+
+
+@pytest.fixture
+def run(small, tmp_path):
+    """A run with two greedy episodes and a training one on record."""
+    parameters = small(max_game_frames=2000)
+    run = Run(params.pick(parameters, "double_dqn", 1), tmp_path)
+    run.folder.mkdir(parents=True)
+    rng = np.random.default_rng(0)
+    games = [({"kind": "training", "episode": 1}, EpisodeRecord(3, bytes(5), None))]
+    for number in range(2):
+        actions = bytes(rng.integers(18, size=STEPS // 6).repeat(6).astype(np.uint8).tolist())
+        heading = {"kind": "values", "episode": 100, "game": number}
+        games.append((heading, EpisodeRecord(7 * number, actions, None)))
+    (run.folder / records.FILE).write_bytes(records.encode(games))
+    return run
+
+
+def memories(record):
+    """The console's memory before the first step and after each, from an emulator of its own."""
+    ale = ALEInterface()
+    ale.setFloat("repeat_action_probability", 0.0)
+    ale.loadROM(roms.get_rom_path("boxing"))
+    ale.reset_game()
+    for _ in range(record.idle_frames):
+        ale.act(0)
+    yield ale.getRAM().astype(int)
+    for action in record.actions:
+        for _ in range(4):
+            ale.act(ale.getLegalActionSet()[action])
+        yield ale.getRAM().astype(int)
+
+
+def test_each_greedy_episode_has_a_row_with_what_the_memory_says(run):
+    styles.measure(run)
+    table = pd.read_csv(run.styles)
+    assert table.episode.tolist() == [100, 100]
+    assert table.game.tolist() == [0, 1]
+    recorded = [record for heading, record in records.read_file(run.folder) if "game" in heading]
+    for row, record in zip(table.itertuples(), recorded, strict=True):
+        before, *after = memories(record)
+        x, rival_x, y, rival_y = (np.array([one[cell] for one in after]) for cell in range(32, 36))
+        near = (abs(x - rival_x) <= 30) & (abs(y - rival_y) <= 30)
+        assert row.reach == pytest.approx(near.mean())
+        assert row.distance == pytest.approx(np.hypot(x - rival_x, y - rival_y).mean())
+        out = [bool(one[55] or one[57]) for one in (before, *after)]
+        assert row.punches == sum(late and not soon for soon, late in pairwise(out))
+        assert row.punches > 0
+        points = [10 * (cell >> 4) + (cell & 15) for cell in (after[-1][18], after[-1][19])]
+        assert [row.scored, row.conceded] == points
+        assert row.score == points[0] - points[1]
+        assert row.frames == 4 * STEPS + record.idle_frames
+
+
+def test_what_is_measured_is_not_played_again_and_another_record_is(run, monkeypatch):
+    styles.measure(run)
+    once = run.styles.read_bytes()
+    played = []
+    replay = records.replay
+    monkeypatch.setattr(records, "replay", lambda *one: played.append(one[1]) or replay(*one))
+    styles.measure(run)
+    assert (played, run.styles.read_bytes()) == ([], once)
+    games = records.read_file(run.folder)
+    games[2] = (games[2][0], EpisodeRecord(9, games[2][1].actions, None))
+    (run.folder / records.FILE).write_bytes(records.encode(games))
+    styles.measure(run)
+    assert [one.idle_frames for one in played] == [9]
+    assert run.styles.read_bytes() != once
+
+
+def test_no_punch_that_was_measured_lands_from_beyond_reach():
+    punches = ram.stored_punches()
+    assert max(punches.dx.max(), punches.dy.max()) == styles.REACH
+    assert ram.BOXERS["agent"].arms == styles.ARMS
+
+
+def test_every_experiment_whose_styles_are_measured_trains_the_agent():
+    for name in styles.EXPERIMENTS:
+        assert styles.AGENT in settings(name).agents
