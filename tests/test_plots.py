@@ -135,6 +135,18 @@ def test_the_source_reports_scores_are_hollow_points_in_their_agents_colour(tmp_
     assert "source report" in [text.get_text() for text in main.get_legend().get_texts()]
 
 
+def test_a_caption_tells_of_no_marks_that_are_not_drawn_yet(tmp_path, shown):
+    store(tmp_path, "boxing_final", DQN, np.zeros(150))  # of 500 episodes; of 5 million frames
+    results.show_curves(study(tmp_path)["boxing_final"])
+    caption = shown.captions["fig-boxing-final-curves"]
+    assert "Hollow" not in caption
+    assert "Grey marks" not in caption
+    store(tmp_path, "boxing_final", DQN, np.zeros(450))
+    results.show_curves(study(tmp_path)["boxing_final"])
+    caption = shown.captions["fig-boxing-final-curves"]
+    assert caption.index("Hollow") < caption.index("Grey marks")
+
+
 def test_an_experiment_of_another_length_has_no_marks_of_the_source_report(tmp_path, shown):
     stored = study(tmp_path)
     assert results.source_points(stored["boxing_low_gamma"]).empty

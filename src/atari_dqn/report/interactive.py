@@ -36,19 +36,24 @@ def described(figure: Figure) -> dict[str, Any] | None:
         return None
     figure.canvas.draw()
     panels = [axes for axes in figure.axes if any(artist.axes is axes for artist in artists)]
+    return {
+        "panels": [
+            _panel(axes, [artist for artist in artists if artist.axes is axes]) for axes in panels
+        ],
+        "switches": [{"name": name, "colour": colour} for name, colour in switches(figure).items()],
+    }
+
+
+def switches(figure: Figure) -> dict[str, str]:
+    """The names of what a figure's switches turn off and on, each with a colour."""
     colours: dict[str, str] = {}
-    for artist in artists:
+    for artist in _of(figure):
         *names, _ = str(artist.get_gid()).split("/")
         for name in names:
             colours.setdefault(name, to_hex(BESIDE))
         if len(names) == 1 and isinstance(artist, Line2D):
             colours[names[0]] = to_hex(artist.get_color())
-    return {
-        "panels": [
-            _panel(axes, [artist for artist in artists if artist.axes is axes]) for axes in panels
-        ],
-        "switches": [{"name": name, "colour": colour} for name, colour in colours.items()],
-    }
+    return colours
 
 
 def _of(figure: Any) -> Iterator[Line2D | Collection]:

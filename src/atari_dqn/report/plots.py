@@ -50,6 +50,7 @@ WIDTH = 6.3  # inches; the text's width on paper
 INK, SOFT = "0.2", "0.45"
 FONT = "Libertinus Serif"  # the PDF's
 FONTS = Path(__file__).parent / "fonts"
+SOURCE, PUBLISHED = "source report", "Dopamine"  # whose points stand beside our curves
 SEEDS_OF_A_BAND = 3  # from so many on, an interval over seeds says something
 
 
@@ -137,7 +138,7 @@ def learning_curves(
     titles = [params.title(agent) for agent in agents_of(curves)]
     if _source_points(main, source, 1.3 * float(curves.episode.max())):
         handles.append(Line2D([], [], ls="none", marker="o", color=SOFT, mfc="white", mew=1.3))
-        titles.append("source report")
+        titles.append(SOURCE)
     main.legend(
         handles, titles, loc="lower left", bbox_to_anchor=(-0.01, 1), ncols=4, fontsize="medium"
     )
@@ -181,7 +182,7 @@ def _source_points(axes: Axes, source: pd.DataFrame, reach: float) -> bool:
         how = {"color": STYLES[str(agent)].colour, "mfc": "white", "mew": 1.4, "ms": 6}
         (points,) = axes.plot(own.episode, own.score, "o", zorder=4, clip_on=False, **how)
         title = params.title(str(agent))
-        named(points, title, "source report", value=f"{title}, source report")
+        named(points, title, SOURCE, value=f"{title}, {SOURCE}")
     return not shown.empty
 
 
@@ -198,7 +199,7 @@ def _published_points(axes: Axes, published: dict[str, Any], reach: float) -> No
         if at:
             how = {"ls": "none", "marker": marker, "ms": 4, "mfc": "none", "color": SOFT}
             handles += axes.plot(*zip(*at, strict=True), **how)
-            named(handles[-1], "Dopamine", value=f"{name}, Dopamine")
+            named(handles[-1], PUBLISHED, value=f"{name}, {PUBLISHED}")
     if handles:
         axes.legend(handles=handles, fontsize="x-small", loc="best", handletextpad=0.2)
 

@@ -10,6 +10,7 @@ from atari_dqn.analysis.statistics import MILESTONES, interval, scores_at_milest
 from atari_dqn.analysis.study import Section, data
 from atari_dqn.params import HELD_OUT_STATES, VALUE_GAMES, VALUES_PERIOD
 from atari_dqn.report import plots
+from atari_dqn.report.interactive import switches
 from atari_dqn.report.outputs import (
     show_absent,
     show_figure,
@@ -31,8 +32,8 @@ def show_curves(section: Section) -> None:
             f"A learning curve, of means of {window} episodes, follows after that many episodes.",
         )
         return
-    published, game = data("published"), section.params.game
-    points = {"frames": published["frames"], **published.get(game, {})}
+    published = data("published")
+    points = {"frames": published["frames"], **published.get(section.params.game, {})}
     source = source_points(section)
     figure = plots.learning_curves(
         section.episodes, facts, window, points if section.default_difficulty else None, source
@@ -45,14 +46,15 @@ def show_curves(section: Section) -> None:
     seeds = section.episodes.groupby("agent").seed.nunique().max()
     if seeds >= plots.SEEDS_OF_A_BAND:
         caption.append("Thin: seeds; bold: their mean, with its 95% interval (Student's t).")
-    if not source.empty:
+    drawn = switches(figure)
+    if plots.SOURCE in drawn:
         caption.append(
             f"Hollow circles: the source report's means of the last {section.milestone_window} "
             "episodes."
         )
     if section.default_difficulty:
         caption.append("Dotted: a human tester and random play.")
-        if game in published:
+        if plots.PUBLISHED in drawn:
             caption.append("Grey marks: agents trained with sticky actions [@dopamine2018].")
     show_figure(
         figure,
