@@ -9,7 +9,7 @@ from synthetic import AGENTS, numbers, store, study
 
 from atari_dqn.analysis import study as analysis
 from atari_dqn.analysis.study import Section
-from atari_dqn.report import cost
+from atari_dqn.report import cost, plots
 
 DQN, DOUBLE, DUELING = AGENTS
 
@@ -124,8 +124,12 @@ def test_our_speed_is_told_with_how_many_times_the_fastest_peers_it_is(folder, s
     assert sorted(bar.get_width() for bar in bars.patches if bar.get_width()) == [
         *(40, 45, 60, 150, 180)
     ]
-    roofs = [line.get_xdata()[0] for line in bars.get_lines() if line.get_linestyle() == "--"]
-    assert roofs == [150, 150]
+    roofs = [line for line in bars.get_lines() if np.isfinite(line.get_xdata()).all()]
+    assert [list(line.get_xdata()) for line in roofs] == [[150, 150]] * 2
+    colours = [plots.STYLES[agent].colour for agent in (DQN, DOUBLE)]
+    assert [line.get_color() for line in roofs] == colours
+    drawn = {bar.get_facecolor()[:3] for bar in bars.patches if bar.get_width()}
+    assert drawn == set(colours)
     assert numbers(shown.captions["fig-throughput"])[:3] == [2, 32, 4], "cores, batch, period"
 
 
