@@ -9,7 +9,7 @@ from synthetic import AGENTS, numbers, store, study
 
 from atari_dqn.analysis import study as analysis
 from atari_dqn.analysis.study import Section
-from atari_dqn.report import cost
+from atari_dqn.report import cost, plots
 
 DQN, DOUBLE, DUELING = AGENTS
 
@@ -69,8 +69,8 @@ def test_every_stored_run_has_a_row_with_its_state_games_steps_hours_and_origin(
 
 
 def measured():
-    """A benchmark: speeds in agent steps per second by library, agent and set-up."""
-    alone, cores = "one process, 1 thread", "one process per core, 1 thread"
+    """A benchmark: speeds in agent steps a second by library, agent and set-up."""
+    alone, cores = "one process, 1 thread", "one process a core, 1 thread"
     threads = "one process, 2 threads"
     rows = [
         ("atari-dqn", DQN, alone, 100.0, 8),
@@ -97,7 +97,7 @@ def measured():
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
     monkeypatch.setattr(cost, "FOLDER", str(tmp_path))
-    machine = {"cores": 2, "processor": "X", "update_period": 4, "float32_gflops_per_core": 80.6}
+    machine = {"cores": 2, "processor": "X", "update_period": 4, "float32_gflops_a_core": 80.6}
     (tmp_path / "machine.json").write_text(json.dumps(machine))
     return tmp_path
 
@@ -124,8 +124,12 @@ def test_our_speed_is_told_with_how_many_times_the_fastest_peers_it_is(folder, s
     assert sorted(bar.get_width() for bar in bars.patches if bar.get_width()) == [
         *(40, 45, 60, 150, 180)
     ]
-    roofs = [line.get_xdata()[0] for line in bars.get_lines() if line.get_linestyle() == "--"]
-    assert set(roofs) == {150}
+    roofs = [line for line in bars.get_lines() if np.isfinite(line.get_xdata()).all()]
+    assert [list(line.get_xdata()) for line in roofs] == [[150, 150]] * 2
+    colours = [plots.STYLES[agent].colour for agent in (DQN, DOUBLE)]
+    assert [line.get_color() for line in roofs] == colours
+    drawn = {bar.get_facecolor()[:3] for bar in bars.patches if bar.get_width()}
+    assert drawn == set(colours)
     assert numbers(shown.captions["fig-throughput"])[:3] == [2, 32, 4], "cores, batch, period"
 
 
@@ -174,7 +178,7 @@ def test_a_whole_run_is_told_from_its_empty_memory_to_its_full_one(folder, shown
 
 
 def test_parts_of_an_update_are_shares_of_its_time(folder, shown):
-    parts = {"part": ["update", "sampling"], "milliseconds_per_update": [15.0, 5.0]}
+    parts = {"part": ["update", "sampling"], "milliseconds_an_update": [15.0, 5.0]}
     parts |= {"share": [0.75, 0.25], "share_of_peak": [0.5, np.nan]}
     pd.DataFrame(parts).to_csv(folder / "breakdown.csv", index=False)
     cost.show_breakdown()

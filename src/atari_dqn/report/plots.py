@@ -251,7 +251,8 @@ def small_multiples(
     curves, base = smoothed(variations, window), unchanged
     if not unchanged.empty:
         base = smoothed(unchanged, window).groupby("episode")["mean"].mean()
-    names, columns = list(dict.fromkeys(curves.variation)), 4
+    names = list(dict.fromkeys(curves.variation))
+    columns = min(4, len(names))
     rows = -(-len(names) // columns)
     figure, panels = plt.subplots(
         rows, columns, figsize=(WIDTH, 0.5 + 1.35 * rows), sharex=True, sharey=True, squeeze=False

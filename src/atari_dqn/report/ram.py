@@ -15,12 +15,11 @@ from matplotlib.figure import Figure
 
 from atari_dqn.envs import AtariEnv
 from atari_dqn.games import GAMES, boxing_points
-from atari_dqn.report.plots import WIDTH
+from atari_dqn.report.plots import WIDTH, shades
 from atari_dqn.runs.files import project_root
 
 HOLD = 4  # frames that a random action is held, as an agent would
 STORED = "results/benchmarks/punches.csv"
-PALETTE = {1: "#56b4e9", 2: "#cc79a7"}  # of points
 
 
 class Cells(NamedTuple):
@@ -117,7 +116,7 @@ def frames_figure(pictures: dict[int, np.ndarray]) -> Figure:
 def punches_figure(punches: pd.DataFrame) -> Figure:
     """The punches by how far the arm was out, and by where the other boxer stood."""
     figure, (left, right) = plt.subplots(1, 2, figsize=(WIDTH, 2.7))
-    shared = {"hue": "points", "palette": PALETTE}
+    shared = {"hue": "points", "palette": dict(zip((1, 2), shades(2), strict=True))}
     bins = np.arange(28, 77, 4)
     sns.histplot(punches, x="arm", bins=bins, multiple="stack", ax=left, **shared)
     left.set(xlabel="how far the arm was out (72: fully)", ylabel="punches that scored")
