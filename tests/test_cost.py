@@ -69,8 +69,8 @@ def test_every_stored_run_has_a_row_with_its_state_games_steps_hours_and_origin(
 
 
 def measured():
-    """A benchmark: speeds in agent steps a second by library, agent and set-up."""
-    alone, cores = "one process, 1 thread", "one process a core, 1 thread"
+    """A benchmark: speeds in agent steps per second by library, agent and set-up."""
+    alone, cores = "one process, 1 thread", "one process per core, 1 thread"
     threads = "one process, 2 threads"
     rows = [
         ("atari-dqn", DQN, alone, 100.0, 8),
@@ -97,7 +97,7 @@ def measured():
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
     monkeypatch.setattr(cost, "FOLDER", str(tmp_path))
-    machine = {"cores": 2, "processor": "X", "update_period": 4, "float32_gflops_a_core": 80.6}
+    machine = {"cores": 2, "processor": "X", "update_period": 4, "float32_gflops_per_core": 80.6}
     (tmp_path / "machine.json").write_text(json.dumps(machine))
     return tmp_path
 
@@ -178,7 +178,7 @@ def test_a_whole_run_is_told_from_its_empty_memory_to_its_full_one(folder, shown
 
 
 def test_parts_of_an_update_are_shares_of_its_time(folder, shown):
-    parts = {"part": ["update", "sampling"], "milliseconds_an_update": [15.0, 5.0]}
+    parts = {"part": ["update", "sampling"], "milliseconds_per_update": [15.0, 5.0]}
     parts |= {"share": [0.75, 0.25], "share_of_peak": [0.5, np.nan]}
     pd.DataFrame(parts).to_csv(folder / "breakdown.csv", index=False)
     cost.show_breakdown()
