@@ -37,6 +37,15 @@ def test_a_section_depends_on_what_its_runs_start_from(notebook, tmp_path):
     assert fingerprint.fingerprint(notebook, "smoke", tmp_path) != before
 
 
+def test_a_section_depends_on_the_styles_of_its_runs(notebook, tmp_path):
+    before = fingerprint.fingerprint(notebook, "smoke", tmp_path)
+    boxing = params.load(ROOT / "params" / "smoke" / "boxing_final.yaml")
+    styles = runs_of(boxing, tmp_path)[0].styles
+    styles.parent.mkdir(parents=True)
+    styles.write_text("episode\n")
+    assert fingerprint.fingerprint(notebook, "smoke", tmp_path) != before
+
+
 def test_a_section_that_shows_no_runs_depends_on_none(notebook, tmp_path):
     notebook.write_text(notebook.read_text().replace("sections.Section(", "plan.files("))
     before = fingerprint.fingerprint(notebook, "smoke", tmp_path)

@@ -43,6 +43,14 @@ def test_a_snapshot_stays_as_it_was_while_training_goes_on(tmp_path, monkeypatch
         (folder / "model.safetensors").write_text("before")
 
 
+def test_a_snapshot_has_the_styles_of_the_runs(tmp_path):
+    styles = tmp_path / "styles" / "any" / "dqn" / "seed-1.csv"
+    styles.parent.mkdir(parents=True)
+    styles.write_text("episode\n")
+    found = build._snapshot(tmp_path) / styles.relative_to(tmp_path)
+    assert found.read_text() == "episode\n"
+
+
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.name)
 def test_notebooks_are_stripped_tagged_and_free_of_classes_and_loops(path):
     notebook = nbformat.read(path, as_version=4)

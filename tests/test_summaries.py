@@ -367,3 +367,39 @@ def test_how_alike_blocks_are_is_measured_in_the_stored_runs(tmp_path):
     expected = [50, 6, min(measured), max(measured), np.median(measured), 10, 95]
     assert found[:7] == pytest.approx(expected, abs=0.006)
     assert 60 < found[8] <= found[7] < 98, "% of cases"
+
+
+def test_over_three_seeds_the_agents_are_compared_by_interquartile_means_of_both_games(tmp_path):
+    """Scores are human-normalised: in Boxing (x - 0.1) / 12, in Breakout (x - 1.7) / 28.8."""
+    boxing_, breakout = {"boxing_final": [12.1, 24.1, 48.1]}, {"breakout_final": [30.5, 59.3, 1.7]}
+    stored = study(tmp_path)
+    for name, means in (boxing_ | breakout).items():
+        for seed, mean in enumerate(means, start=1):
+            store(tmp_path, name, DQN, window(2501, 3000, mean, FAR, after=0), seed=seed)
+        stored.sections[name] = Section(name, "full", str(tmp_path), [DQN], [1, 2, 3])
+    # 1, 2, 4 and 1, 2, 0: without the highest and the lowest
+    agent, mean, low, high, *_ = facts(summaries.over_seeds(stored))
+    assert (agent, mean) == ("DQN", 1.5)
+    assert low < mean < high
+    assert summaries.over_seeds(stored) in summaries.conclusion(stored)
+    for seeds in ([1, 2], [1, 2, 3, 4]):  # too few; one that is not there
+        stored.sections["boxing_final"] = Section(
+            "boxing_final", "full", str(tmp_path), [DQN], seeds
+        )
+        assert summaries.over_seeds(stored) == ""
+
+
+def test_what_random_play_is_given_by_a_difficulty_is_told_when_both_are_measured(tmp_path):
+    final = store(tmp_path, "boxing_final", DQN, np.zeros(700))
+    expert = store(tmp_path, "boxing_expert", DQN, np.zeros(700))
+    evaluate(final, trained=700, epsilon=1.0, score=0.5)
+    pair = ("boxing_expert", "boxing_final")
+    assert summaries.head_start(study(tmp_path), *pair) == ""
+    evaluate(expert, trained=700, score=70.0)  # greedily
+    assert summaries.head_start(study(tmp_path), *pair) == ""
+    evaluate(final, trained=700, add=True, epsilon=1.0, difficulty=3, score=6.5)
+    found = numbers(summaries.head_start(study(tmp_path), *pair))
+    assert [found[at] for at in (0, 3, 4, 7, 8)] == [6.5, 3, 0.5, 0, 6.0]
+    assert found[1] < 6.5 < found[2]
+    assert "higher" in summaries.head_start(study(tmp_path), *pair)
+    assert "lower" in summaries.head_start(study(tmp_path), *reversed(pair))

@@ -145,15 +145,20 @@ class Section:
         counted = ("scored", "conceded", "punches")
         return table.assign(**{f"{name}_per_minute": table[name] / minutes for name in counted})
 
-    @cached_property
+    @property
     def random_play(self) -> pd.DataFrame:
-        """A row an evaluation game of random moves only, at the experiment's difficulty and
-        stickiness; the same game counts once, whichever models stood by."""
+        """`random_play_at` the experiment's difficulty."""
+        return self.random_play_at(self.params.difficulty)
+
+    def random_play_at(self, difficulty: int) -> pd.DataFrame:
+        """A row per evaluation episode of random moves only, at a difficulty and the experiment's
+        stickiness; the same episode counts once, whichever models stood by."""
         table = self.stored_evaluations
         if table.empty:
             return table
-        p = self.params
-        alike = (table.difficulty == p.difficulty) & (table.sticky_actions == p.sticky_actions)
+        alike = (table.difficulty == difficulty) & (
+            table.sticky_actions == self.params.sticky_actions
+        )
         return table[alike & (table.epsilon == 1.0)].drop_duplicates(["seed", "game"])
 
     @property

@@ -12,11 +12,20 @@ from atari_dqn.analysis.statistics import (
     MILESTONES,
     blocks,
     coverage,
+    interval,
+    iqm,
     likeness,
+    stratified_interval,
     trailing_mean,
 )
 from atari_dqn.analysis.study import Section, Study, data
-from atari_dqn.analysis.verdicts import Outcome, mean_score, milestone_episodes
+from atari_dqn.analysis.verdicts import (
+    SEEDS,
+    Outcome,
+    last_episodes,
+    mean_score,
+    milestone_episodes,
+)
 
 EARLY = 500  # episodes, before which an agent still acts mostly at random
 RECENT = 100  # episodes, of which the score of a run in progress is the mean
@@ -135,10 +144,55 @@ def conclusion(study: Study) -> str:
             "says (@tbl-literature), how the two games work (@sec-games), where the source report "
             "leaves a choice open (@tbl-deviations), and what training costs (@sec-speed)."
         )
+    if together := over_seeds(study):
+        said.append(together)
     found = findings(study)
     for verdict, rows in found[~found.verdict.isin(UNJUDGED)].groupby("verdict", sort=False):
         said.append(f"*{str(verdict).capitalize()}*: {'; '.join(rows.claim)}.")
     return "\n\n".join(said)
+
+
+def over_seeds(study: Study) -> str:
+    """A sentence on the agents' final scores in both games over all seeds: interquartile means with
+    stratified bootstrap intervals (Agarwal et al., 2021). Empty with fewer than three seeds, or
+    while one is unfinished."""
+    sections = [study[name] for name in ("boxing_final", "breakout_final")]
+    if any(len(each.params.seeds) < SEEDS or not each.complete for each in sections):
+        return ""
+    said = []
+    for agent in sections[0].params.agents:
+        groups = [_normalised(section, agent) for section in sections]
+        low, high = stratified_interval(iqm, *groups)
+        said.append(f"{params.title(agent)} {iqm(*groups):.2f} ({low:.2f} to {high:.2f})")
+    return (
+        "Over both games and all seeds, the interquartile means of the final scores are "
+        f"{', '.join(said)}, where 0 is random play and 1 a human."
+    )
+
+
+def _normalised(section: Section, agent: str) -> np.ndarray:
+    """Each seed's final score, where 0 is random play and 1 a human: float64 [seeds]."""
+    scores, facts = section.scores(agent, *last_episodes(section)), section.facts
+    return (scores.mean(axis=1) - facts.random) / (facts.human - facts.random)
+
+
+def head_start(study: Study, experiment: str, base: str) -> str:
+    """A sentence on how much more random play scores at an experiment's difficulty than at that of
+    another; empty until it has been evaluated at both."""
+    sections = study[experiment], study[base]
+    means, said = [], []
+    for section in sections:
+        difficulty = section.params.difficulty
+        played = pd.concat([each.random_play_at(difficulty) for each in sections])
+        if len(played) < 2:
+            return ""
+        low, high = interval(played.score.to_numpy())
+        means.append(played.score.mean())
+        said.append(f"{means[-1]:.1f} ({low:.1f} to {high:.1f}) at difficulty {difficulty}")
+    gap = means[0] - means[1]
+    where = "higher" if gap > 0 else "lower"
+    start = f"an agent of these runs starts {abs(gap):.1f} points {where}"
+    return f"Random play scores {' and '.join(said)}: {start}."
 
 
 def cards(study: Study) -> str:

@@ -221,7 +221,7 @@ def _share(section: Section) -> str:
     return f"{section.share:.0%}" if section.share >= 0.01 or not section.share else "under 1%"
 
 
-def _last(section: Section) -> tuple[int, int]:
+def last_episodes(section: Section) -> tuple[int, int]:
     """The episodes that a final score is the mean of."""
     episodes = section.params.episodes
     return episodes - section.milestone_window + 1, episodes
@@ -264,7 +264,9 @@ def compare_training(
     `compare_scores`."""
     pair = (study[first], study[second])
     shorter, longer = sorted(pair, key=lambda section: section.params.episodes)
-    episodes = _last(shorter) if milestone is None else milestone_episodes(longer, milestone)
+    episodes = (
+        last_episodes(shorter) if milestone is None else milestone_episodes(longer, milestone)
+    )
     return [compare_scores(pair, (agent, agent), *episodes, **how) for agent in _shared(pair)] or [
         _ALONE
     ]
