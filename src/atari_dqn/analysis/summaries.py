@@ -157,14 +157,11 @@ def over_seeds(study: Study) -> str:
     stratified bootstrap intervals (Agarwal et al., 2021). Empty with fewer than three seeds, or
     while one is unfinished."""
     sections = [study[name] for name in ("boxing_final", "breakout_final")]
+    if any(len(each.params.seeds) < SEEDS or not each.complete for each in sections):
+        return ""
     said = []
     for agent in sections[0].params.agents:
         groups = [_normalised(section, agent) for section in sections]
-        if any(
-            len(group) < max(SEEDS, len(section.params.seeds))
-            for group, section in zip(groups, sections, strict=True)
-        ):
-            return ""
         low, high = stratified_interval(iqm, *groups)
         said.append(f"{params.title(agent)} {iqm(*groups):.2f} ({low:.2f} to {high:.2f})")
     return (
@@ -176,8 +173,7 @@ def over_seeds(study: Study) -> str:
 def _normalised(section: Section, agent: str) -> np.ndarray:
     """Each seed's final score, where 0 is random play and 1 a human: float64 [seeds]."""
     scores, facts = section.scores(agent, *last_episodes(section)), section.facts
-    means = scores.mean(axis=1) if scores.size else np.empty(0)
-    return (means - facts.random) / (facts.human - facts.random)
+    return (scores.mean(axis=1) - facts.random) / (facts.human - facts.random)
 
 
 def head_start(study: Study, experiment: str, base: str) -> str:
@@ -194,10 +190,9 @@ def head_start(study: Study, experiment: str, base: str) -> str:
         means.append(played.score.mean())
         said.append(f"{means[-1]:.1f} ({low:.1f} to {high:.1f}) at difficulty {difficulty}")
     gap = means[0] - means[1]
-    return (
-        f"Random play scores {' and '.join(said)}: an agent of these runs starts {abs(gap):.1f} "
-        f"points {'higher' if gap > 0 else 'lower'}."
-    )
+    where = "higher" if gap > 0 else "lower"
+    start = f"an agent of these runs starts {abs(gap):.1f} points {where}"
+    return f"Random play scores {' and '.join(said)}: {start}."
 
 
 def cards(study: Study) -> str:
