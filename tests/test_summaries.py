@@ -47,7 +47,7 @@ def test_a_headline_of_runs_in_progress_is_about_the_last_hundred_episodes_of_th
 
 
 def test_an_agent_has_one_score_wherever_it_is_told(tmp_path):
-    """In the headline, the cards, the conclusion and the reading, of runs in progress and of
+    """In the headline, the conclusion and the reading, of runs in progress and of
     finished ones: never that of an evaluation."""
     for length, expected, window_ in ((810, 42.0, 100), (3000, 33.0, 500)):
         scores = np.r_[np.full(length - 100, 30.75), np.full(100, 42.0)]  # of 500, 33
@@ -60,7 +60,6 @@ def test_an_agent_has_one_score_wherever_it_is_told(tmp_path):
         assert (found.mean, found.window, found.episodes) == (expected, window_, length)
         assert float(found) == expected
         assert expected in facts(summaries.headline(stored))
-        assert summaries.cards(stored).split("**")[1] == f"{expected:.1f}"
         said = facts(summaries.conclusion(stored).split("\n\n")[0])
         assert said[:4] == ["Double DQN", expected, window_, length]
         (line,) = [
@@ -68,8 +67,7 @@ def test_an_agent_has_one_score_wherever_it_is_told(tmp_path):
         ]
         assert facts(line)[:4] == ["Double DQN", expected, window_, length]
         assert "Evaluated after" in line
-        for text in (summaries.headline(stored), summaries.cards(stored)):
-            assert "77" not in text
+        assert "77" not in summaries.headline(stored)
 
 
 def three_true_and_one_false(results):
@@ -91,18 +89,6 @@ def test_the_claims_that_are_judged_are_counted_by_verdict(tmp_path):
     assert "Double DQN ends highest in Boxing" in true
     assert false == "Dueling Double DQN is the best of the first 500 episodes in both games."
     assert len(re.findall(r"^\*", said, re.MULTILINE)) == 2, "and none that is open"
-
-
-def test_cards_hold_the_best_score_the_human_one_the_games_stored_and_the_claims_judged(tmp_path):
-    stored = three_true_and_one_false(tmp_path)
-    store(tmp_path, "boxing_low_gamma", DUELING, np.zeros(250))
-    cards = re.findall(r"\*\*(.+?)\*\* (.*)", summaries.cards(stored))
-    assert [number for number, _ in cards] == ["90.0", "12.1", "9,250", "4 of 21"]
-    assert facts(cards[0][1]) == ["Double DQN", 500, 3000]
-    assert "human" in cards[1][1]
-    assert "episodes stored" in cards[2][1]
-    empty = summaries.cards(study(tmp_path / "empty"))
-    assert re.findall(r"\*\*(.+?)\*\*", empty) == ["–", "12.1", "0", "0 of 21"]
 
 
 def test_the_conclusion_gives_each_games_agents_the_best_first_and_its_human_score(tmp_path):

@@ -195,27 +195,6 @@ def head_start(study: Study, experiment: str, base: str) -> str:
     return f"Random play scores {' and '.join(said)}: {start}."
 
 
-def cards(study: Study) -> str:
-    """Four numbers, as a division of class `card`."""
-    section = study["boxing_final"]
-    testable, judged = _judged(findings(study).verdict)
-    best = next(iter(_scores(section).items()), None)
-    numbers = [
-        (
-            f"{best[1].mean:.1f}",
-            f"points in Boxing: {best[0]}, mean of the last {best[1].window} of "
-            f"{best[1].episodes:,} training episodes",
-        )
-        if best
-        else ("–", f"points in Boxing: no agent has played {EARLY} episodes"),
-        (f"{section.facts.human:g}", "points: a human tester's mean"),
-        (f"{_played(study)[0]:,}", "training episodes stored"),
-        (f"{judged.sum()} of {testable}", "claims of the source report judged"),
-    ]
-    cells = "\n".join(f"::: {{}}\n**{number}** {what}\n:::" for number, what in numbers)
-    return f":::: {{.card}}\n{cells}\n::::"
-
-
 TILES = {Outcome.YES: "yes", Outcome.NO: "no", Outcome.UNCLEAR: "mixed"}
 
 
@@ -376,12 +355,6 @@ def beside_source(section: Section) -> str:
             f"learned in an episode; ours is every {section.params.update_period} agent steps.)"
         )
     return text
-
-
-def list_of_findings() -> str:
-    """The claims as a list, for a reader who has not seen the source report."""
-    listed = enumerate(FINDINGS, start=1)
-    return "\n".join(f"{number}. {claim.text}." for number, claim in listed)
 
 
 OBJECTIVES = {
