@@ -114,13 +114,13 @@ def test_observations_are_gymnasiums_frame_stack_across_games(game, small):
 @pytest.mark.parametrize(("clip", "expected"), [(True, [1, -1]), (False, [2, -3])])
 def test_rewards_are_clipped_for_learning_and_raw_in_the_score(small, monkeypatch, clip, expected):
     lockstep = VectorEnv(small(clip_rewards=clip), np.random.SeedSequence(0))
-    for game, points in zip(lockstep.games, (2, -3), strict=True):
-        monkeypatch.setattr(game, "frame_skip", 1)
-        monkeypatch.setattr(game, "ale", _Rewarding(game.ale, points))
-    before = [game.score for game in lockstep.games]
+    for env, points in zip(lockstep.envs, (2, -3), strict=True):
+        monkeypatch.setattr(env, "frame_skip", 1)
+        monkeypatch.setattr(env, "ale", _Rewarding(env.ale, points))
+    before = [env.score for env in lockstep.envs]
     step = lockstep.step(np.zeros(2, int))
     assert step.rewards.tolist() == expected
-    assert [game.score - was for game, was in zip(lockstep.games, before, strict=True)] == [2, -3]
+    assert [env.score - was for env, was in zip(lockstep.envs, before, strict=True)] == [2, -3]
 
 
 class _Rewarding:

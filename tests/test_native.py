@@ -400,8 +400,14 @@ def test_without_a_home_there_is_one_plain_line(monkeypatch):
 
 
 def test_several_processes_may_build_it_at_once(tmp_path):
-    environment = {**os.environ, "XDG_CACHE_HOME": str(tmp_path)}
-    code = "from atari_dqn import native; native.FLAGS += ('-O0',); print(native.compiled())"
+    compiler = tmp_path / "compiler"  # so slow that each finds no library yet
+    compiler.write_text('#!/bin/sh\n[ "$1" = --version ] || sleep 5\nexec c++ "$@"\n')
+    compiler.chmod(0o755)
+    source = tmp_path / "quick.cpp"
+    source.write_text('extern "C" bool processor_suffices() { return false; }')
+    environment = {**os.environ, "XDG_CACHE_HOME": str(tmp_path), "CXX": str(compiler)}
+    code = "import sys, pathlib; from atari_dqn import native; "
+    code += f"native.SOURCE = pathlib.Path({str(source)!r}); print(native.compiled())"
     started = [
         subprocess.Popen([sys.executable, "-c", code], env=environment, stdout=subprocess.PIPE)
         for _ in range(2)
