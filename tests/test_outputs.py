@@ -18,7 +18,7 @@ from atari_dqn.report import outputs
         ("See @fig-one [@mnih2015], and me@home.", "See fig-one (mnih2015), and me@home."),
         ("[@one; @two] and [-@three] in `@code`", "(one; two) and (three) in `@code`"),
         ("```python\n@cache\n```", "```python\n@cache\n```"),
-        (":::: {.card}\n::: {}\n**23** points\n:::\n::::", "**23** points\n"),
+        (":::: {.board}\n::: {.tile .open}\n**23** points\n:::\n::::", "**23** points\n"),
     ],
 )
 def test_pandocs_markdown_is_put_into_jupyters(pandoc, jupyter):

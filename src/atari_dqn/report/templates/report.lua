@@ -106,8 +106,6 @@ local function division(div)
     return wrapped(has(div, "partial") and "#badge(warn)[" or "#badge(accent)[", div.content, "]")
   elseif has(div, "absent") then
     return wrapped("#absent[", div.content, "] <" .. div.identifier .. ">")
-  elseif has(div, "card") then
-    return cells("cards", div.content)
   elseif has(div, "board") then
     return cells("board", div.content)
   end
