@@ -354,6 +354,7 @@ def test_the_first_video_plays_by_itself_while_it_is_in_view(show):
     page.wait(f"!{HERO}.paused")
     page(f"{HERO}.pause()")  # as its reader does
     page("window.scrollTo({ top: 0, behavior: 'instant' })")
+    page("new Promise((done) => setTimeout(done, 300))")  # it is seen to leave
     page(IN_VIEW)
     page("new Promise((done) => setTimeout(done, 300))")
     assert page(f"{HERO}.paused")
