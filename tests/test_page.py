@@ -60,28 +60,28 @@ With $\gamma$ near 1 the agent is patient, e.g. in Boxing. That is another sente
 
 Source: 51.6. Here: 48.2 (45.0 to 51.3).
 
-[Section](#sec-rules){{.more}}
+@sec-rules
 :::
 ::: {{.tile .no}}
 **2** The second claim.
 
 Source: 3.1. Here: 0.5.
 
-[Section](#sec-rules){{.more}}
+@sec-rules
 :::
 ::: {{.tile .mixed}}
 **3** The third claim.
 
 Source: 3.1. Here: 0.5.
 
-[Section](#sec-rules){{.more}}
+@sec-rules
 :::
 ::: {{.tile .open}}
 **4** The fourth claim.
 
 Source: 51.6. Here: not yet.
 
-[Section](#sec-rules){{.more}}
+@sec-rules
 :::
 :::
 
@@ -354,6 +354,7 @@ def test_the_first_video_plays_by_itself_while_it_is_in_view(show):
     page.wait(f"!{HERO}.paused")
     page(f"{HERO}.pause()")  # as its reader does
     page("window.scrollTo({ top: 0, behavior: 'instant' })")
+    page("new Promise((done) => setTimeout(done, 300))")  # it is seen to leave
     page(IN_VIEW)
     page("new Promise((done) => setTimeout(done, 300))")
     assert page(f"{HERO}.paused")
@@ -397,6 +398,7 @@ def test_a_tile_of_the_board_is_a_link_as_a_whole_and_says_its_verdict_in_a_word
     words = ["✓ yes", "✗ no", "≈ mixed", "○ open"]
     assert [text.splitlines()[0] for text, _, _ in tiles] == words
     assert {link for _, link, _ in tiles} == {"#sec-rules"}
+    assert {text.splitlines()[-1] for text, _, _ in tiles} == {"Section\N{NO-BREAK SPACE}2"}
     assert len({left for _, _, left in tiles}) == 2, "columns on a phone"
     page = show(width=1280, dark=True)
     assert (

@@ -300,7 +300,7 @@ def test_at_another_difficulty_no_human_score_is_passed(tmp_path):
 
 TILE = re.compile(
     r"::: \{\.tile \.(yes|no|mixed|open)\}\n\*\*(\d+)\*\* (.+)\.\n\n"
-    r"(?:(Source: .+)\n\n)?\[Section\]\(#([a-z-]+)\)\{\.more\}\n:::"
+    r"(?:(Source: .+)\n\n)?@([a-z-]+)\n:::"
 )
 
 

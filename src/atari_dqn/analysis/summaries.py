@@ -205,7 +205,7 @@ def board(study: Study) -> str:
     for number, claim in enumerate(FINDINGS, start=1):
         kind = TILES.get(claim.judge(study).outcome, "open")
         lines = [f"**{number}** {claim.short}.", _numbers(study, claim)]
-        lines.append(f"[Section](#{claim.section}){{.more}}")
+        lines.append(f"@{claim.section}")
         tiles.append(f"::: {{.tile .{kind}}}\n" + "\n\n".join(filter(None, lines)) + "\n:::")
     return "::: {.board}\n" + "\n\n".join(tiles) + "\n:::"
 

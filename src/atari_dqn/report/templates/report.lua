@@ -89,8 +89,8 @@ local function tile(div)
   return div
 end
 
-local function cells(name, content)
-  local result = { pandoc.RawBlock("typst", "#" .. name .. "(") }
+local function board(content)
+  local result = { pandoc.RawBlock("typst", "#board(") }
   for _, cell in ipairs(content) do
     for _, block in ipairs(wrapped("[", cell.content, "],")) do table.insert(result, block) end
   end
@@ -107,7 +107,7 @@ local function division(div)
   elseif has(div, "absent") then
     return wrapped("#absent[", div.content, "] <" .. div.identifier .. ">")
   elseif has(div, "board") then
-    return cells("board", div.content)
+    return board(div.content)
   end
 end
 
