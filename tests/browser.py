@@ -105,21 +105,26 @@ class Browser:
         return base64.b64decode(self.command("Page.captureScreenshot")["data"])
 
 
-@contextmanager
-def running(folder: Path) -> Iterator[Browser]:
-    """A browser with its profile in `folder`; the test is skipped where there is none."""
+def command(folder: Path, *options: str) -> list[str]:
+    """What starts a browser with its profile in `folder`, cut off from the network; the test is
+    skipped where there is none, and fails where one is required."""
     chromium = shutil.which("chromium") or shutil.which("google-chrome")
     if chromium is None:
         if os.environ.get("ATARI_DQN_BROWSER") == "required":
             pytest.fail("no browser found, and one is required")
         pytest.skip("no Chromium on this machine")
+    return [
+        *(chromium, "--headless", "--no-sandbox", "--disable-gpu", "--no-first-run"),
+        *("--disable-background-networking", "--disable-component-update", "--disable-sync"),
+        *("--proxy-server=127.0.0.1:9", f"--user-data-dir={folder}", *options),
+    ]
+
+
+@contextmanager
+def running(folder: Path) -> Iterator[Browser]:
+    """A browser with its profile in `folder`."""
     process = subprocess.Popen(
-        [
-            *(chromium, "--headless", "--no-sandbox", "--disable-gpu", "--no-first-run"),
-            *("--disable-background-networking", "--disable-component-update", "--disable-sync"),
-            *("--proxy-server=127.0.0.1:9", f"--user-data-dir={folder}", "--hide-scrollbars"),
-            *("--remote-debugging-port=0", "about:blank"),
-        ],
+        command(folder, "--hide-scrollbars", "--remote-debugging-port=0", "about:blank"),
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
     )

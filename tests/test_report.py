@@ -9,6 +9,7 @@ import subprocess
 from pathlib import Path
 from unittest.mock import Mock
 
+import browser
 import nbformat
 import papermill
 import pytest
@@ -250,18 +251,9 @@ def test_a_failing_section_is_named_and_the_last_report_stays(built, monkeypatch
 
 
 def test_the_page_opens_in_a_browser_without_console_errors(built, tmp_path):
-    browser = shutil.which("chromium") or shutil.which("google-chrome")
-    if browser is None:
-        if os.environ.get("ATARI_DQN_BROWSER") == "required":
-            pytest.fail("no browser found, and one is required")
-        pytest.skip("no Chromium on this machine")
+    page = (built / "index.html").as_uri()
     result = subprocess.run(
-        [
-            *(browser, "--headless", "--no-sandbox", "--disable-gpu", "--no-first-run"),
-            *("--disable-background-networking", "--disable-component-update", "--disable-sync"),
-            *("--proxy-server=127.0.0.1:9", f"--user-data-dir={tmp_path}"),
-            *("--enable-logging=stderr", "--dump-dom", (built / "index.html").as_uri()),
-        ],
+        browser.command(tmp_path, "--enable-logging=stderr", "--dump-dom", page),
         capture_output=True,
         text=True,
         timeout=1800,  # only what hangs takes so long

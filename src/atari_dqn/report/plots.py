@@ -27,7 +27,7 @@ from atari_dqn import params
 from atari_dqn.analysis.statistics import interval, trailing_mean
 from atari_dqn.envs import SIZE, AtariEnv
 from atari_dqn.games import GAMES, GameFacts
-from atari_dqn.report.interactive import named
+from atari_dqn.report.interactive import BESIDE, named
 
 Colour = tuple[float, float, float]
 
@@ -47,7 +47,7 @@ STYLES = {
     )
 }
 WIDTH = 6.3  # inches; the text's width on paper
-INK, SOFT = "0.2", "0.45"
+INK, SOFT = "0.2", BESIDE
 FONT = "Libertinus Serif"  # the PDF's
 FONTS = Path(__file__).parent / "fonts"
 SOURCE, PUBLISHED = "source report", "Dopamine"  # whose points stand beside our curves

@@ -17,6 +17,7 @@ from atari_dqn.envs import AtariEnv
 from atari_dqn.games import GAMES, boxing_points
 from atari_dqn.report.plots import WIDTH, shades
 from atari_dqn.runs.files import project_root
+from atari_dqn.runs.styles import ARMS
 
 HOLD = 4  # frames that a random action is held, as an agent would
 STORED = "results/benchmarks/punches.csv"
@@ -34,7 +35,7 @@ class Cells(NamedTuple):
 assert GAMES["boxing"].boxers
 _AGENT, _COMPUTER = GAMES["boxing"].boxers
 BOXERS = {
-    "agent": Cells(*_AGENT, score=18, arms=(55, 57)),
+    "agent": Cells(*_AGENT, score=18, arms=ARMS),
     "computer": Cells(*_COMPUTER, score=19, arms=(59, 61)),
 }
 

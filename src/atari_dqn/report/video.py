@@ -128,28 +128,28 @@ class _Recording:
 
     def replay(self) -> Iterator[EpisodeInProgress]:
         """The game before every step, and at the end."""
-        table = EpisodeInProgress(self.params)
-        table.start(self.result.game, self.result.seed)
-        yield table
+        episode = EpisodeInProgress(self.params)
+        episode.start(self.result.game, self.result.seed)
+        yield episode
         for action in self.actions:
-            table.step(int(action))
-            yield table
+            episode.step(int(action))
+            yield episode
 
 
 def _record(network: nn.Module, params: Parameters, seed: int, game: int) -> _Recording:
-    table, ended = EpisodeInProgress(params), False
-    table.start(game, seed)
+    episode, ended = EpisodeInProgress(params), False
+    episode.start(game, seed)
     player = player_of(network, params)
     decisions, scores = [], [0.0]
     while not ended:
-        q_value, value = _q_and_value(network, player, table.planes[:, None])
-        action = int(epsilon_greedy(q_value[None], params.evaluation_epsilon, table.rng)[0])
-        ended = table.step(action)
+        q_value, value = _q_and_value(network, player, episode.planes[:, None])
+        action = int(epsilon_greedy(q_value[None], params.evaluation_epsilon, episode.rng)[0])
+        ended = episode.step(action)
         decisions.append((action, q_value, value))
-        scores.append(table.env.score)
+        scores.append(episode.env.score)
     symbol = "V(s)" if isinstance(network, DuelingNetwork) else "max Q"
     arrays = (np.array(column) for column in (*zip(*decisions, strict=True), scores))
-    return _Recording(params, table.result(seed), symbol, *arrays)
+    return _Recording(params, episode.result(seed), symbol, *arrays)
 
 
 def _q_and_value(
@@ -268,11 +268,11 @@ class _Stage:
                 last = len(column.game.actions)
                 if step > last:
                     continue  # it waits
-                table = next(replay)
+                episode = next(replay)
                 if step in steps or step == last:
-                    column.draw(table, step)
+                    column.draw(episode, step)
                     if self.mind is not None:
-                        self.mind.draw(table, step)
+                        self.mind.draw(episode, step)
             if step in steps:
                 yield step
 
@@ -311,9 +311,9 @@ class _Column:
         """The row of a value (or several); the edges are for the marks of points."""
         return 12 + (self.high - value) / (self.high - self.low) * (self.trace.shape[0] - 25)
 
-    def draw(self, table: EpisodeInProgress, step: int) -> None:
+    def draw(self, episode: EpisodeInProgress, step: int) -> None:
         game, width = self.game, self.view.shape[1]
-        size, doubled = self.screen.shape[1::-1], table.env.render().repeat(2, 0).repeat(2, 1)
+        size, doubled = self.screen.shape[1::-1], episode.env.render().repeat(2, 0).repeat(2, 1)
         self.picture = cv2.resize(doubled, size, interpolation=cv2.INTER_AREA)
         self.screen[:] = self.picture
         now = min(step, len(game.actions) - 1)  # at the end, the last decision stays
@@ -383,8 +383,8 @@ class _Mind:
     def _baseline(self, row: int) -> int:
         return row * self.pitch + self.pitch // 2 + 6
 
-    def draw(self, table: EpisodeInProgress, step: int) -> None:
-        for number, image in enumerate(table.planes.reshape(-1, SIZE, SIZE)):
+    def draw(self, episode: EpisodeInProgress, step: int) -> None:
+        for number, image in enumerate(episode.planes.reshape(-1, SIZE, SIZE)):
             x = number * (self.side + GAP)
             small = cv2.resize(image, (self.side, self.side), interpolation=cv2.INTER_AREA)
             self.images[:, x : x + self.side] = small[:, :, None]

@@ -43,7 +43,9 @@ def measure(run: Run) -> None:
     """Brings a run's file of styles up to date with its records; what is in it is not played
     again. Raises RecordError if the records cannot be read."""
     stored = (
-        pd.read_csv(run.styles, dtype={"digest": str}) if run.styles.exists() else pd.DataFrame()
+        pd.read_csv(run.styles, dtype={"digest": str}, float_precision="round_trip")
+        if run.styles.exists()
+        else pd.DataFrame()
     )
     known = {(row.episode, row.game, row.digest): row for row in stored.itertuples(index=False)}
     greedy = [
