@@ -10,6 +10,7 @@ from torch import nn
 from atari_dqn import params
 from atari_dqn.analysis import study
 from atari_dqn.envs import AtariEnv
+from atari_dqn.games import GAMES
 from atari_dqn.params import Parameters
 from atari_dqn.report import design
 from atari_dqn.runs import plan
@@ -67,7 +68,7 @@ def test_exploration_is_told_with_the_games_until_its_floor():
 def test_units_follow_from_the_frames_of_a_full_game():
     p = Parameters(experiment="any", frame_skip=5, update_period=2, episodes=1000)
     table = design.units(p).set_index("unit")
-    frames = design.GAME_FRAMES
+    frames = GAMES["boxing"].full_frames
     game, everything = table.columns[1:]
     assert numbers(everything) == [1000]
     counts = {"frame": frames, "agent step": frames / 5, "update": frames / 10, "game": 1}
@@ -78,7 +79,7 @@ def test_units_follow_from_the_frames_of_a_full_game():
     assert numbers(table.loc["update", "is"]) == [2]
 
 
-def test_a_full_game_of_boxing_has_about_as_many_frames_as_is_said():
+def test_a_full_game_of_boxing_has_as_many_frames_as_is_said():
     """Two boxers of whom one never moves: nobody is knocked out."""
     game = AtariEnv("boxing")
     game.reset(seed=1)
@@ -86,7 +87,7 @@ def test_a_full_game_of_boxing_has_about_as_many_frames_as_is_said():
     while not over:
         _, _, terminated, truncated, _ = game.step(0)
         over = terminated or truncated
-    assert game.frames == pytest.approx(design.GAME_FRAMES, rel=0.005)
+    assert game.frames == GAMES["boxing"].full_frames
 
 
 def test_the_source_reports_scores_stand_beside_its_games_agents_and_marks():

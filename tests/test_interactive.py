@@ -17,7 +17,7 @@ from atari_dqn.report.interactive import described, named
 SLOPES = {"dqn": 0.05, "double_dqn": 0.1}  # points per episode
 FRAMES, SECONDS = 5_000, 90.0  # per episode
 PUBLISHED = {"frames": [1, 2], "Rainbow": [3.0, 6.0]}
-SOURCE = pd.DataFrame({"agent": ["dqn"], "episode": [200], "score": [70.0]})
+SOURCE = pd.DataFrame({"agent": ["dqn"], "episode": [200], "score": [70.0], "window": [50]})
 
 
 def episodes(count=400, seeds=(1,)):
@@ -236,7 +236,7 @@ def test_buttons_switch_curves_and_their_values_by_keyboard(page):
     assert browser(pressed) == ["false", "true", "true", "true"]
     drawn = browser(f"decodeURIComponent({source})")
     hidden = {one["id"] for one in main["artists"] if "DQN" in one["switches"]}
-    assert len(hidden) == 2  # its curve, and the source report's points of it
+    assert len(hidden) == 3  # its curve, the source report's points of it and ours beside them
     for one in main["artists"]:
         tag = drawn[drawn.index(f'id="{one["id"]}"') :].partition(">")[0]
         assert ("display: none" in tag) == (one["id"] in hidden)
@@ -247,4 +247,4 @@ def test_buttons_switch_curves_and_their_values_by_keyboard(page):
     assert "display: none" not in browser(f"decodeURIComponent({source})")
     assert browser(source) != before  # an image of its own now
     point(browser, main, 200)
-    assert len(browser.wait(TIP)) == 4
+    assert len(browser.wait(TIP)) == 5

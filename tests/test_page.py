@@ -55,28 +55,28 @@ no sentence
 With $\gamma$ near 1 the agent is patient, e.g. in Boxing. That is another sentence.
 
 ::: {{.board}}
-::: {{.tile .yes}}
+::: {{.tile .yes verdict="in these runs: yes"}}
 **1** The first claim.
 
 Source: 51.6. Here: 48.2 (45.0 to 51.3).
 
 @sec-rules
 :::
-::: {{.tile .no}}
+::: {{.tile .no verdict="contradicted"}}
 **2** The second claim.
 
 Source: 3.1. Here: 0.5.
 
 @sec-rules
 :::
-::: {{.tile .mixed}}
+::: {{.tile .unclear verdict="inconclusive"}}
 **3** The third claim.
 
 Source: 3.1. Here: 0.5.
 
 @sec-rules
 :::
-::: {{.tile .open}}
+::: {{.tile .open verdict="open"}}
 **4** The fourth claim.
 
 Source: 51.6. Here: not yet.
@@ -395,7 +395,7 @@ def test_a_tile_of_the_board_is_a_link_as_a_whole_and_says_its_verdict_in_a_word
           return [tile.innerText, document.elementFromPoint(x, y).getAttribute("href"), box.left];
         })"""
     )
-    words = ["✓ yes", "✗ no", "≈ mixed", "○ open"]
+    words = ["✓ in these runs: yes", "✗ contradicted", "≈ inconclusive", "○ open"]
     assert [text.splitlines()[0] for text, _, _ in tiles] == words
     assert {link for _, link, _ in tiles} == {"#sec-rules"}
     assert {text.splitlines()[-1] for text, _, _ in tiles} == {"Section\N{NO-BREAK SPACE}2"}

@@ -124,14 +124,16 @@ def test_the_source_reports_scores_are_hollow_points_in_their_agents_colour(tmp_
     assert marks(main) == {
         "DQN, source report": ([500, 1000], [10.61, 51.62]),
         "Double DQN, source report": ([500, 1000], [28.99, 80.19]),
+        "Double DQN, ours over the same episodes": ([500], [pytest.approx(25.05)]),
     }
     for line in main.get_lines():
         if line.get_linestyle() == "None":
-            assert line.get_markerfacecolor() == "white"
+            theirs = "source report" in line.get_label()
+            assert (line.get_markerfacecolor() == "white") == theirs
             agent = DOUBLE if "Double" in line.get_label() else DQN
             assert line.get_color() == plots.STYLES[agent].colour
     assert not any(marks(axes, "source") for axes in lower)
-    assert "source report's means of the last 500 episodes" in shown.captions[label]
+    assert "means of the last 500 episodes, hollow the source report's" in shown.captions[label]
     assert "source report" in [text.get_text() for text in main.get_legend().get_texts()]
 
 
@@ -139,19 +141,19 @@ def test_a_caption_tells_of_no_marks_that_are_not_drawn_yet(tmp_path, shown):
     store(tmp_path, "boxing_final", DQN, np.zeros(150))  # of 500 episodes; of 5 million frames
     results.show_curves(study(tmp_path)["boxing_final"])
     caption = shown.captions["fig-boxing-final-curves"]
-    assert "Hollow" not in caption
+    assert "Circles" not in caption
     assert "Grey marks" not in caption
     store(tmp_path, "boxing_final", DQN, np.zeros(450))
     results.show_curves(study(tmp_path)["boxing_final"])
     caption = shown.captions["fig-boxing-final-curves"]
-    assert caption.index("Hollow") < caption.index("Grey marks")
+    assert caption.index("Circles") < caption.index("Grey marks")
 
 
 def test_an_experiment_of_another_length_has_no_marks_of_the_source_report(tmp_path, shown):
     stored = study(tmp_path)
     assert results.source_points(stored["boxing_low_gamma"]).empty
     found = results.source_points(stored["breakout_late"]).dropna()
-    assert found.values.tolist() == [[DQN, 3000, 26.32]]
+    assert found.values.tolist() == [[DQN, 3000, 26.32, 500]]
     store(tmp_path, "boxing_low_gamma", DUELING, np.zeros(900))
     results.show_curves(stored["boxing_low_gamma"])
     assert "source" not in shown.captions["fig-boxing-low-gamma-curves"]

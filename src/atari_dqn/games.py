@@ -24,6 +24,8 @@ class GameFacts:
     boxers: tuple[tuple[int, int], tuple[int, int]] | None = None  # RAM cells of x and y, in
     # pixels, of the agent and of its rival (Anand et al., 2019)
 
+    full_frames: int | None = None  # of a game that only its clock ends, where there is one
+
     @property
     def title(self) -> str:
         return self.name.replace("_", " ").title()
@@ -51,6 +53,7 @@ GAMES = {
             1,
             knockout_cells=(18, 19),
             boxers=((32, 34), (33, 35)),
+            full_frames=7141,
         ),
         GameFacts("breakout", 1.7, 30.5, (0, 1), 864, fire_to_serve=True),
         GameFacts("centipede", 2090.9, 12017.0, (0,)),

@@ -66,6 +66,12 @@ class Section:
         self.curve_window = max(1, self.params.episodes // 30)
         self.milestone_window = max(1, self.params.episodes // len(MILESTONES))
 
+    @property
+    def milestones(self) -> tuple[int, ...]:
+        """The numbers of episodes after which scores are compared."""
+        step = self.params.episodes / len(MILESTONES)
+        return tuple(dict.fromkeys(round(step * (index + 1)) for index in range(len(MILESTONES))))
+
     def only(self, variation: str) -> "Section":
         """The same of one of the experiment's variations."""
         part = copy.copy(self)

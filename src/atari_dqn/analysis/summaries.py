@@ -18,9 +18,10 @@ from atari_dqn.analysis.statistics import (
     stratified_interval,
     trailing_mean,
 )
-from atari_dqn.analysis.study import Section, Study, data
+from atari_dqn.analysis.study import FRAMES_PER_MINUTE, Section, Study, data
 from atari_dqn.analysis.verdicts import (
     SEEDS,
+    Mean,
     Outcome,
     last_episodes,
     mean_score,
@@ -69,34 +70,46 @@ def _window(section: Section, finished: bool) -> int:
     return section.milestone_window if finished else min(RECENT, section.params.episodes)
 
 
-def _scores(section: Section) -> dict[str, Score]:
-    """The agents that have a score, by their titles, the best first."""
-    found = {params.title(agent): score(section, agent) for agent in section.params.agents}
+@dataclass(frozen=True)
+class Standings:
+    """What the agents of an experiment score over the same training episodes."""
+
+    first: int
+    last: int
+    means: dict[str, float]  # points, by the agents' titles, the best first
+
+    @property
+    def episodes(self) -> str:
+        return f"training episodes {self.first:,} to {self.last:,}"
+
+    @property
+    def listed(self) -> str:
+        return ", ".join(f"{agent} {mean:.1f}" for agent, mean in self.means.items())
+
+
+def standings(section: Section) -> Standings | None:
+    """The agents that have a score, over the last episodes that all of these have played."""
+    found = {agent: score(section, agent) for agent in section.params.agents}
     there = {agent: one for agent, one in found.items() if one is not None}
-    return dict(sorted(there.items(), key=lambda pair: -pair[1].mean))
+    if not there:
+        return None
+    last = min(one.episodes for one in there.values())
+    first = last - min(one.window for one in there.values()) + 1
+    means = {params.title(agent): section.scores(agent, first, last).mean() for agent in there}
+    return Standings(first, last, dict(sorted(means.items(), key=lambda pair: -pair[1])))
 
 
 def headline(study: Study) -> str:
     """One paragraph: how far the runs are, and how the claims stand."""
     section, verdicts = study["boxing_final"], findings(study).verdict
-    scores = _scores(section)
-    if not scores:
+    if (found := standings(section)) is None:
         played, planned = _played(study)
         text = f"Training has only begun: {played:,} of {planned:,} planned episodes are played."
     else:
-        (best, found), *others = scores.items()
-        facts = section.facts
-        if section.complete:
-            text = (
-                f"The highest mean score in Boxing over the last {found.window} of "
-                f"{found.episodes:,} training episodes is that of {best}, {found.mean:.1f} points"
-            )
-        else:
-            who = f"the agent with the most points so far, {best}," if others else best
-            text = f"After {found.episodes:,} episodes of Boxing {who} scores {found.mean:.1f} "
-            text += "points per episode while still exploring"
-        level = "above" if found.mean > facts.human else "below"
-        text += f", {level} the human reference of {facts.human:g} (random play: {facts.random:g})."
+        text = (
+            f"Mean scores over {found.episodes} of Boxing: {found.listed} (a human "
+            f"{section.facts.human:g}, random play {section.facts.random:g})."
+        )
     testable, judged = _judged(verdicts)
     claims = f"{testable} claims of the source report that runs can judge"
     if judged.empty:
@@ -124,16 +137,17 @@ def conclusion(study: Study) -> str:
     said = []
     for name in ("boxing_final", "breakout_final"):
         section = study[name]
-        if not (scores := _scores(section)):
+        if (found := standings(section)) is None:
             continue
-        listed = ", ".join(f"{agent} {found}" for agent, found in scores.items())
-        text = f"In {section.facts.title}, mean scores in training are {listed}, "
-        text += f"and a human's {section.facts.human:g}."
+        text = (
+            f"In {section.facts.title}, mean scores over {found.episodes} are {found.listed}, "
+            f"and a human's {section.facts.human:g}."
+        )
         played = section.episodes.groupby("agent").episode.max().rename(index=params.title)
         for agent in map(params.title, section.params.agents):
             if agent not in played:
                 text += f" {agent} has not begun."
-            elif agent not in scores:
+            elif agent not in found.means:
                 text += f" {agent} has played {played[agent]:,} episodes only."
         said.append(f"{text} {beside_source(section)}".strip())
     if not said:
@@ -146,8 +160,8 @@ def conclusion(study: Study) -> str:
         )
     if together := over_seeds(study):
         said.append(together)
-    found = findings(study)
-    for verdict, rows in found[~found.verdict.isin(UNJUDGED)].groupby("verdict", sort=False):
+    judged = findings(study)
+    for verdict, rows in judged[~judged.verdict.isin(UNJUDGED)].groupby("verdict", sort=False):
         said.append(f"*{str(verdict).capitalize()}*: {'; '.join(rows.claim)}.")
     return "\n\n".join(said)
 
@@ -195,24 +209,21 @@ def head_start(study: Study, experiment: str, base: str) -> str:
     return f"Random play scores {' and '.join(said)}: {start}."
 
 
-TILES = {Outcome.YES: "yes", Outcome.NO: "no", Outcome.UNCLEAR: "mixed"}
-
-
 def board(study: Study) -> str:
     """The verdicts at a glance: a division of class `board` with one of class `tile` per claim,
-    and of class `yes`, `no`, `mixed` or `open`."""
+    and of its verdict's class."""
     tiles = []
     for number, claim in enumerate(FINDINGS, start=1):
-        kind = TILES.get(claim.judge(study).outcome, "open")
-        lines = [f"**{number}** {claim.short}.", _numbers(study, claim)]
-        lines.append(f"@{claim.section}")
-        tiles.append(f"::: {{.tile .{kind}}}\n" + "\n\n".join(filter(None, lines)) + "\n:::")
+        found = claim.judge(study)
+        lines = [f"**{number}** {claim.short}.", _numbers(study, claim), f"@{claim.section}"]
+        kind = f'.{found.outcome.name.lower()} verdict="{found.verdict}"'
+        tiles.append(f"::: {{.tile {kind}}}\n" + "\n\n".join(filter(None, lines)) + "\n:::")
     return "::: {.board}\n" + "\n\n".join(tiles) + "\n:::"
 
 
 def _numbers(study: Study, claim: Claim) -> str:
-    """The source report's scores that a claim is about, and ours with their intervals; empty if it
-    gives none, or our runs are not as long as its own."""
+    """The source report's scores that a claim is about, and ours, with intervals if they are over
+    seeds; empty if it gives none, or our runs are not as long as its own."""
     agents, games = ({score[place] for score in claim.scores} for place in (1, 0))
     theirs, ours, reached = [], [], False
     for experiment, agent, milestone in claim.scores:
@@ -223,12 +234,20 @@ def _numbers(study: Study, claim: Claim) -> str:
         named = f"{section.facts.title} " * (len(games) > 1) + named
         theirs.append(f"{named}{data('source_report')[experiment][agent][milestone - 1]:.1f}")
         found = mean_score(section, agent, *milestone_episodes(section, milestone))
-        ours.append(f"{named}{'–' if found is None else found}")
+        ours.append(f"{named}{_over_seeds(found)}")
         reached |= found is not None
     if not theirs:
         return ""
     here = ", ".join(ours) if reached else "not there yet"
     return f"Source: {', '.join(theirs)}. Here: {here}."
+
+
+def _over_seeds(found: Mean | None) -> str:
+    """A mean, with its interval if that is over seeds: of fewer it would say how steady a run is,
+    and be taken for how sure the mean."""
+    if found is None:
+        return "–"
+    return str(found) if found.seeds >= SEEDS else f"{found.mean:.1f}"
 
 
 def neighbours(study: Study) -> str:
@@ -316,7 +335,7 @@ def _progress(section: Section, played: pd.DataFrame) -> str:
         text += f"{above.index[0]:,}"
     fall = (means.cummax() - means).max()
     so_far = "" if finished else " so far"
-    return f"{text}; the largest drop of that mean{so_far} is {fall:.1f} points"
+    return f"{text}; at its worst{so_far} that mean was {fall:.1f} points below its earlier best"
 
 
 def _without_exploring(evaluated: pd.DataFrame, checks: pd.DataFrame) -> str:
@@ -327,9 +346,61 @@ def _without_exploring(evaluated: pd.DataFrame, checks: pd.DataFrame) -> str:
     if not tried and not checked:
         return ""
     fresh = tried >= checked - RECENT
-    count, trained = (len(evaluated), tried) if fresh else (params.VALUE_GAMES, checked)
-    score = evaluated.score.mean() if fresh else checks.score.iloc[-1]
-    return f". Evaluated after {trained:,} episodes ({count} greedy ones): {score:.1f}"
+    if fresh:
+        return (
+            f". Evaluated after {tried:,} episodes ({len(evaluated)} greedy ones): "
+            f"{evaluated.score.mean():.1f}"
+        )
+    return (
+        f". Last check, after {checked:,} episodes ({params.VALUE_GAMES} greedy ones): "
+        f"{checks.score.iloc[-1]:.1f}"
+    )
+
+
+def endings(section: Section) -> pd.DataFrame:
+    """How games end that a knock-out can cut short, up to each milestone that a run has reached:
+    columns agent, seed, measure, and the milestones. Empty for other games."""
+    full, rows = section.facts.full_frames, []
+    if full is None or section.episodes.empty:
+        return pd.DataFrame()
+    for (agent, seed), run in section.episodes.groupby(["agent", "seed"], sort=False):
+        frames = run.frames.diff().fillna(run.frames.iloc[0])
+        found: dict[str, dict[int, float]] = {name: {} for name in ENDINGS}
+        for last in section.milestones:
+            if last > len(run):
+                break
+            chosen = slice(last - section.milestone_window, last)
+            played, scores = frames.iloc[chosen], run.score.iloc[chosen]
+            won = (played < full) & (scores > 0)
+            minutes = played.sum() / FRAMES_PER_MINUTE
+            values = 100 * won.mean(), played.mean() / 60, scores.sum() / minutes
+            for name, value in zip(ENDINGS, values, strict=True):
+                found[name][last] = value
+        rows += [
+            {"agent": agent, "seed": seed, "measure": name, **values}
+            for name, values in found.items()
+            if values
+        ]
+    return pd.DataFrame(rows)
+
+
+def values_reading(section: Section) -> str:
+    """How far each agent's predicted values have been from what followed; empty without checks."""
+    said: list[str] = []
+    if section.values.empty:
+        return ""
+    for (agent, seed), checks in section.values.groupby(["agent", "seed"], sort=False):
+        seeds = f", seed {seed}" if len(section.params.seeds) > 1 else ""
+        last, errors = checks.iloc[-1], checks.predicted - checks.realised
+        said.append(
+            f"{params.title(str(agent))}{seeds} predicts {errors.mean():.1f} more than what "
+            f"follows, on average over {len(checks)} checks, and {last.predicted:.1f} against "
+            f"{last.realised:.1f} at the last, after {last.episode:,.0f} episodes"
+        )
+    return f"{'; '.join(said)}."
+
+
+ENDINGS = ("won by knock-out, %", "seconds per episode", "points per minute")
 
 
 def beside_source(section: Section) -> str:
@@ -350,10 +421,7 @@ def beside_source(section: Section) -> str:
         return ""
     text = f"Our scores and the source report's, where both are known: {', '.join(said)}."
     if less:
-        text += (
-            " (It does not say how often its network was updated, which decides how much is "
-            f"learned in an episode; ours is every {section.params.update_period} agent steps.)"
-        )
+        text += " (@sec-why asks why.)"
     return text
 
 

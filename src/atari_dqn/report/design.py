@@ -91,14 +91,13 @@ def exploration_text(p: Parameters) -> str:
     )
 
 
-GAME_FRAMES = 7141  # of a full game of Boxing: two minutes of its clock, at 60 frames a second
-
-
 def units(p: Parameters) -> pd.DataFrame:
     """What a frame, an agent step, an update and a game are, and how many there are at most."""
-    steps = GAME_FRAMES / p.frame_skip
+    frames = GAMES["boxing"].full_frames
+    assert frames is not None
+    steps = frames / p.frame_skip
     rows = [
-        ("frame", "a picture of the emulator, 1/60 s", GAME_FRAMES),
+        ("frame", "a picture of the emulator, 1/60 s", frames),
         ("agent step", f"a decision; {p.frame_skip} frames", steps),
         (
             "update",

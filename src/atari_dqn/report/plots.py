@@ -51,6 +51,7 @@ INK, SOFT = "0.2", BESIDE
 FONT = "Libertinus Serif"  # the PDF's
 FONTS = Path(__file__).parent / "fonts"
 SOURCE, PUBLISHED = "source report", "Dopamine"  # whose points stand beside our curves
+OURS = "ours over the same episodes"
 SEEDS_OF_A_BAND = 3  # from so many on, an interval over seeds says something
 
 
@@ -114,9 +115,10 @@ def learning_curves(
     a 95% interval over seeds from `SEEDS_OF_A_BAND` on.
 
     `episodes` holds columns episode, frames, cpu_seconds, score, agent and seed. `source` are the
-    source report's scores, hollow: columns agent, episode and score. `published` (scores by agent
-    at `frames`, million) are grey marks; None leaves them and `references` out. Both are drawn as
-    far as the curves reach and a little further.
+    source report's scores, hollow, and with them ours over the same episodes, filled: columns
+    agent, episode, score and window, the episodes that a score is the mean of. `published` (scores
+    by agent at `frames`, million) are grey marks; None leaves them and `references` out. Both are
+    drawn as far as the curves reach and a little further.
     """
     curves = smoothed(episodes, window)
     curves = curves.assign(frames=curves.frames / 1e6, hours=curves.cpu_seconds / 3600)
@@ -136,9 +138,9 @@ def learning_curves(
         for agent in agents_of(curves)
     ]
     titles = [params.title(agent) for agent in agents_of(curves)]
-    if _source_points(main, source, 1.3 * float(curves.episode.max())):
-        handles.append(Line2D([], [], ls="none", marker="o", color=SOFT, mfc="white", mew=1.3))
-        titles.append(SOURCE)
+    for title, inside in _source_points(main, source, episodes).items():
+        handles.append(Line2D([], [], ls="none", marker="o", color=SOFT, mfc=inside, mew=1.3))
+        titles.append(title)
     main.legend(
         handles, titles, loc="lower left", bbox_to_anchor=(-0.01, 1), ncols=4, fontsize="medium"
     )
@@ -175,15 +177,32 @@ def _curves_of(axes: Axes, curves: pd.DataFrame, agent: str, x: str, main: bool)
             named(axes.fill_between(mean.index, mean - half, mean + half, **band), title)
 
 
-def _source_points(axes: Axes, source: pd.DataFrame, reach: float) -> bool:
-    """Draws the source report's scores up to an episode; returns whether there are any."""
-    shown = source[source.episode <= reach].dropna(subset="score")
-    for agent, own in shown.groupby("agent", sort=False):
-        how = {"color": STYLES[str(agent)].colour, "mfc": "white", "mew": 1.4, "ms": 6}
-        (points,) = axes.plot(own.episode, own.score, "o", zorder=4, clip_on=False, **how)
-        title = params.title(str(agent))
+def _source_points(axes: Axes, source: pd.DataFrame, episodes: pd.DataFrame) -> dict[str, str]:
+    """Draws the source report's scores of the agents in `episodes`, a little further than these
+    reach, and ours over the same episodes. Returns what is drawn, and how a legend's mark is
+    filled."""
+    kinds = {}
+    there = source.episode <= 1.3 * episodes.episode.max()
+    shown = source[there & source.agent.isin(episodes.agent)].dropna(subset="score")
+    for agent, theirs in shown.groupby("agent", sort=False):
+        scores = episodes[episodes.agent == agent].pivot(
+            index="episode", columns="seed", values="score"
+        )
+        ours = {
+            last: scores.loc[last - window + 1 : last].mean().mean()
+            for last, window in zip(theirs.episode, theirs.window, strict=True)
+            if last in scores.index
+        }
+        title, colour = params.title(str(agent)), STYLES[str(agent)].colour
+        how = {"zorder": 4, "clip_on": False, "color": colour, "mew": 1.4, "ms": 6}
+        (points,) = axes.plot(theirs.episode, theirs.score, "o", mfc="white", **how)
         named(points, title, SOURCE, value=f"{title}, {SOURCE}")
-    return not shown.empty
+        kinds[SOURCE] = "white"
+        if ours:
+            (points,) = axes.plot(list(ours), list(ours.values()), "o", **how)
+            named(points, title, SOURCE, value=f"{title}, {OURS}")
+            kinds[OURS] = SOFT
+    return kinds
 
 
 def _published_points(axes: Axes, published: dict[str, Any], reach: float) -> None:

@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 
 from atari_dqn import params
+from atari_dqn.analysis import summaries
 from atari_dqn.analysis.statistics import MILESTONES, interval, scores_at_milestones
 from atari_dqn.analysis.study import Section, data
 from atari_dqn.params import HELD_OUT_STATES, VALUE_GAMES, VALUES_PERIOD
@@ -49,8 +50,8 @@ def show_curves(section: Section) -> None:
     drawn = switches(figure)
     if plots.SOURCE in drawn:
         caption.append(
-            f"Hollow circles: the source report's means of the last {section.milestone_window} "
-            "episodes."
+            f"Circles: means of the last {section.milestone_window} episodes, hollow the source "
+            "report's, filled ours."
         )
     if section.default_difficulty:
         caption.append("Dotted: a human tester and random play.")
@@ -66,27 +67,24 @@ def show_curves(section: Section) -> None:
     )
 
 
-def _milestones(section: Section) -> tuple[int, ...]:
-    step = section.params.episodes / len(MILESTONES)
-    return tuple(dict.fromkeys(round(step * (index + 1)) for index in range(len(MILESTONES))))
-
-
 def source_points(section: Section) -> pd.DataFrame:
     """The source report's scores at the milestones of an experiment as long as its own: columns
-    agent, episode and score; empty where it has none of an agent of the section."""
+    agent, episode, score and window, the episodes that it is the mean of; empty where it has none
+    of an agent of the section."""
     source, rows = data("source_report"), []
-    if _milestones(section) == MILESTONES:
+    if section.milestones == MILESTONES:
         for agent, scores in source.get(section.params.experiment, {}).items():
             if agent in section.params.agents:
-                rows += [(agent, *point) for point in zip(source["marks"], scores, strict=True)]
-    return pd.DataFrame(rows, columns=["agent", "episode", "score"])
+                points = zip(source["marks"], scores, strict=True)
+                rows += [(agent, *point, section.milestone_window) for point in points]
+    return pd.DataFrame(rows, columns=["agent", "episode", "score", "window"])
 
 
 def show_milestones(section: Section) -> None:
     """The mean score of the last games at each milestone that a run has reached, and the source
     report's."""
     label = f"tbl-{section.slug}-marks"
-    milestones = _milestones(section)
+    milestones = section.milestones
     if section.episodes.empty:
         show_placeholders(label)
         return
@@ -116,6 +114,25 @@ def show_milestones(section: Section) -> None:
         f"{section.milestone_window} games up to each number of games played ({section.counted()})."
         + f" Human {facts.human:g}, random play {facts.random:g} [@dqnzoo2020]."
         * section.default_difficulty,
+    )
+
+
+def show_endings(section: Section) -> None:
+    """How the games of the last milestones ended: the share of knock-outs, and how fast points
+    came."""
+    label, table = f"tbl-{section.slug}-endings", summaries.endings(section)
+    if table.empty:
+        show_placeholders(label)
+        return
+    table["agent"] = table.agent.map(params.title)
+    if table.seed.nunique() == 1:
+        table = table.drop(columns="seed")
+    show_table(
+        table,
+        label=label,
+        caption=f"{section.facts.title}, `{section.params.experiment}`: how the last "
+        f"{section.milestone_window} episodes ended ({section.counted()}).",
+        decimals=0,
     )
 
 

@@ -73,12 +73,13 @@ local function video(div)
   return pandoc.Figure({ div.content[1] }, { long = caption }, attributes)
 end
 
-local VERDICTS = { yes = "✓ yes", no = "✗ no", mixed = "≈ mixed", open = "○ open" }
+local SIGNS = { yes = "✓", no = "✗", unclear = "≈", open = "○", untested = "–" }
 
 -- A board of verdicts: what their colours say is also said in a word.
 local function tile(div)
-  for class, word in pairs(VERDICTS) do
+  for class, sign in pairs(SIGNS) do
     if has(div, class) then
+      local word = sign .. " " .. div.attributes.verdict
       if paper then
         local open = "#tile(" .. quoted(class) .. ", " .. quoted(word) .. ")["
         return pandoc.Div(wrapped(open, div.content, "]"))
