@@ -16,7 +16,7 @@ import pytest
 
 from atari_dqn import params
 from atari_dqn.analysis.study import Section
-from atari_dqn.report import build, notebook, videos
+from atari_dqn.report import build, execution, notebook, videos
 from atari_dqn.runs import plan, recorder
 from atari_dqn.runs.files import RunError, write_atomically
 
@@ -113,9 +113,9 @@ def test_the_experiment_notebook_trains_draws_and_stores_a_run(tmp_path):
     assert any("image/svg+xml" in output.get("data", {}) for output in outputs)
 
 
-def test_an_unknown_parameter_of_the_notebook_names_the_nearest_one(tmp_path):
-    with pytest.raises(papermill.PapermillExecutionError, match="did you mean 'episodes'"):
-        execute(tmp_path / "out.ipynb", {**SMOKE, "epsiodes": 3}, ROOT)
+def test_an_unknown_parameter_of_the_notebook_names_the_nearest_one():
+    with pytest.raises(params.ParameterError, match="did you mean 'episodes'"):
+        notebook.run_from_notebook({**SMOKE, "epsiodes": 3})
 
 
 def test_an_experiment_of_several_runs_is_refused_by_the_notebook_for_one():
@@ -194,26 +194,21 @@ def test_rendering_again_gives_the_same_bytes(built):
 
 
 def test_a_section_is_executed_again_only_if_something_of_its_own_changed(built):
-    notebooks = built.parent / "notebooks"
-    before = {path.name: path.stat().st_mtime_ns for path in notebooks.glob("*.ipynb")}
-    results = (
-        built.parent / "runs" / "boxing_expert" / "dueling_double_dqn" / "seed-1" / "episodes.csv"
-    )
-    assert "857.00" not in (notebooks / "05_boxing_expert.ipynb").read_text()
-    header, first, *rest = results.read_text().splitlines(keepends=True)
+    results = built.parent
+    row_of = results / "runs" / "boxing_expert" / "dueling_double_dqn" / "seed-1" / "episodes.csv"
+    executed = results / "notebooks" / "05_boxing_expert.ipynb"
+    assert build._stale("smoke", results, build._snapshot(results)) == []
+    assert "857.00" not in executed.read_text()
+    header, first, *rest = row_of.read_text().splitlines(keepends=True)
     cells = first.split(",")
     cells[3] = "857"  # the score
-    results.write_text(header + ",".join(cells) + "".join(rest))
-    build._execute("smoke", built.parent, build._snapshot(built.parent))
-    changed = {
-        path.name
-        for path in notebooks.glob("*.ipynb")
-        if path.stat().st_mtime_ns != before[path.name]
-    }
-    chapters = ("00_summary", "10_evaluation", "11_discussion", "13_speed", "15_runs")
-    on_all_runs = {f"{chapter}.ipynb" for chapter in chapters}
-    assert changed == {"05_boxing_expert.ipynb"} | on_all_runs
-    assert "857.00" in (notebooks / "05_boxing_expert.ipynb").read_text()
+    row_of.write_text(header + ",".join(cells) + "".join(rest))
+    snapshot = build._snapshot(results)
+    stale = {path.stem: path for path, _ in build._stale("smoke", results, snapshot)}
+    on_all_runs = {"00_summary", "10_evaluation", "11_discussion", "13_speed", "15_runs"}
+    assert set(stale) == {"05_boxing_expert"} | on_all_runs
+    execution.execute(stale["05_boxing_expert"], executed.parent, "smoke", snapshot)
+    assert "857.00" in executed.read_text()
 
 
 def test_the_page_needs_no_network(built):

@@ -19,7 +19,6 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import nbformat
-import papermill
 import pypandoc
 import typst
 from filelock import FileLock, Timeout
@@ -27,6 +26,7 @@ from nbconvert import MarkdownExporter
 from tqdm import tqdm
 
 from atari_dqn.report import crossrefs, fingerprint
+from atari_dqn.report.execution import execute
 from atari_dqn.runs import plan, records, scheduler, styles
 from atari_dqn.runs.files import RunError, project_root, results_folder
 
@@ -40,7 +40,6 @@ DESCRIPTION = (
 )
 KEYWORDS = "deep reinforcement learning, DQN, Double DQN, Dueling DQN, Atari, reproducibility"
 TEMPLATES = Path(__file__).parent / "templates"
-STARTS = 3  # of a notebook's kernel, whose ports another's may take before it does
 
 
 def build(profile: str, results: Path | None = None) -> Path:
@@ -108,24 +107,33 @@ def _snapshot(folder: Path) -> Path:
     return snapshot
 
 
+def _sections() -> list[Path]:
+    return sorted((project_root() / "notebooks").glob("[0-9]*.ipynb"))
+
+
+def _stale(profile: str, folder: Path, results: Path) -> list[tuple[Path, str]]:
+    """The sections that are not executed as they are now, with the fingerprints of that."""
+    stale = []
+    for notebook in _sections():
+        fresh = fingerprint.fingerprint(notebook, profile, results)
+        stamp = folder / "notebooks" / f"{notebook.stem}.inputs"
+        executed = folder / "notebooks" / notebook.name
+        if not (executed.exists() and stamp.exists() and stamp.read_text() == fresh):
+            stale.append((notebook, fresh))
+    return stale
+
+
 def _execute(profile: str, folder: Path, results: Path) -> list[Path]:
     """Runs the numbered notebooks that are out of date into results/notebooks, one a core.
 
     A failing one leaves no output there.
     """
     target = folder / "notebooks"
-    sections = sorted((project_root() / "notebooks").glob("[0-9]*.ipynb"))
-    stale = []
-    for notebook in sections:
-        fresh = fingerprint.fingerprint(notebook, profile, results)
-        stamp = target / f"{notebook.stem}.inputs"
-        executed = target / notebook.name
-        if not (executed.exists() and stamp.exists() and stamp.read_text() == fresh):
-            stale.append((notebook, fresh))
+    stale = _stale(profile, folder, results)
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(scheduler.cores(), mp_context=context) as pool:
         jobs = {
-            pool.submit(_execute_one, notebook, target, profile, results): (notebook, fresh)
+            pool.submit(execute, notebook, target, profile, results): (notebook, fresh)
             for notebook, fresh in stale
         }
         for job in tqdm(as_completed(jobs), total=len(jobs), desc="sections"):
@@ -136,38 +144,7 @@ def _execute(profile: str, folder: Path, results: Path) -> list[Path]:
                 pool.shutdown(cancel_futures=True)
                 raise
             (target / f"{notebook.stem}.inputs").write_text(fresh)
-    return [target / notebook.name for notebook in sections]
-
-
-def _execute_one(notebook: Path, target: Path, profile: str, results: Path) -> None:
-    """Executes one notebook; raises RunError that names the section, the cell and the error."""
-    os.environ["OMP_NUM_THREADS"] = "1"  # of the notebook's process: another has the other core
-    partial = target / f".{notebook.name}"
-    for old in (f"{notebook.stem}.inputs", notebook.name):  # the stamp first, if one is left
-        (target / old).unlink(missing_ok=True)
-    for start in range(STARTS):
-        try:
-            papermill.execute_notebook(
-                notebook,
-                partial,
-                {"profile": profile, "results_dir": str(results.resolve())},
-                cwd=str(notebook.parent),
-                kernel_name="python3",
-                progress_bar=False,
-                request_save_on_cell_execute=False,
-                extra_arguments=["--log-level=ERROR"],
-            )
-        except papermill.PapermillExecutionError as error:
-            partial.unlink(missing_ok=True)
-            where = f"section {notebook.name}, cell {error.cell_index}"
-            raise RunError(f"{where}: {error.ename}: {error.evalue}") from None
-        except RuntimeError as error:
-            partial.unlink(missing_ok=True)
-            if "before replying" not in str(error) or start == STARTS - 1:
-                raise RunError(f"section {notebook.name}: {error}") from None
-        else:
-            break
-    partial.replace(target / notebook.name)
+    return [target / notebook.name for notebook in _sections()]
 
 
 def _moment(folder: Path) -> datetime | None:
