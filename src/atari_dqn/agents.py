@@ -31,7 +31,7 @@ def q_learning(batch: Batch, online: nn.Module, target_network: nn.Module) -> Te
 
 def double_q_learning(batch: Batch, online: nn.Module, target_network: nn.Module) -> Tensor:
     """Targets [B] of Double DQN: the online network selects, the target network evaluates
-    (van Hasselt et al., 2016, equation 4)."""
+    (van Hasselt et al., 2016, section "Double DQN")."""
     a_t = online(batch.s_t).argmax(dim=1, keepdim=True)  # [B, 1]
     q_t = target_network(batch.s_t)  # [B, A]
     return batch.r_t + batch.discount_t * q_t.gather(1, a_t).squeeze(1)
