@@ -11,6 +11,7 @@ from atari_dqn.analysis import summaries
 from atari_dqn.analysis.claims import FINDINGS
 from atari_dqn.analysis.statistics import likeness
 from atari_dqn.analysis.study import Section
+from atari_dqn.analysis.verdicts import Mean
 from atari_dqn.params import VALUE_GAMES
 
 DQN, DOUBLE, DUELING = AGENTS
@@ -340,6 +341,13 @@ def test_a_tile_has_the_source_reports_scores_and_ours(tmp_path):
     assert said["5"] == "Source: 15.4. Here: not there yet."
     assert "Boxing 36.3, Breakout 4.9" in said["3"]
     assert said["13"] == "", "the source report gives no number"
+
+
+def test_a_tile_has_an_interval_only_if_that_is_over_seeds():
+    few, many = (Mean(60.04, 58.0, 62.0, seeds) for seeds in (2, 3))
+    assert summaries._over_seeds(few) == "60.0"
+    assert numbers(summaries._over_seeds(many)) == [60.0, 58.0, 62.0]
+    assert summaries._over_seeds(None) == "–"
 
 
 def test_endings_count_the_games_that_the_agent_won_before_the_clock_and_how_fast(tmp_path):

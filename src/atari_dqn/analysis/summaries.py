@@ -44,9 +44,6 @@ class Score:
     def __float__(self) -> float:
         return self.mean
 
-    def __str__(self) -> str:
-        return f"{self.mean:.1f} (last {self.window} of {self.episodes:,})"
-
 
 def score(section: Section, agent: str) -> Score | None:
     """An agent's score: of finished runs the mean of as many training episodes as the source report
@@ -360,28 +357,38 @@ def _without_exploring(evaluated: pd.DataFrame, checks: pd.DataFrame) -> str:
 def endings(section: Section) -> pd.DataFrame:
     """How games end that a knock-out can cut short, up to each milestone that a run has reached:
     columns agent, seed, measure, and the milestones. Empty for other games."""
-    full, rows = section.facts.full_frames, []
+    full, tables = section.facts.full_frames, []
     if full is None or section.episodes.empty:
         return pd.DataFrame()
     for (agent, seed), run in section.episodes.groupby(["agent", "seed"], sort=False):
-        frames = run.frames.diff().fillna(run.frames.iloc[0])
-        found: dict[str, dict[int, float]] = {name: {} for name in ENDINGS}
-        for last in section.milestones:
-            if last > len(run):
-                break
-            chosen = slice(last - section.milestone_window, last)
-            played, scores = frames.iloc[chosen], run.score.iloc[chosen]
-            won = (played < full) & (scores > 0)
-            minutes = played.sum() / FRAMES_PER_MINUTE
-            values = 100 * won.mean(), played.mean() / 60, scores.sum() / minutes
-            for name, value in zip(ENDINGS, values, strict=True):
-                found[name][last] = value
-        rows += [
-            {"agent": agent, "seed": seed, "measure": name, **values}
-            for name, values in found.items()
-            if values
-        ]
-    return pd.DataFrame(rows)
+        games = run.assign(frames=run.frames.diff().fillna(run.frames))  # of each, not so far
+        found = {
+            last: _ending(games.iloc[last - section.milestone_window : last], full)
+            for last in section.milestones
+            if last <= len(run)
+        }
+        if found:
+            table = pd.DataFrame(found).rename_axis("measure").reset_index()
+            tables.append(table.assign(agent=agent, seed=seed))
+    if not tables:
+        return pd.DataFrame()
+    both = pd.concat(tables, ignore_index=True)
+    return both[
+        ["agent", "seed", "measure", *(last for last in section.milestones if last in both)]
+    ]
+
+
+def _ending(games: pd.DataFrame, full: int) -> pd.Series:
+    """How games (columns score and frames) end of which a full one has `full` frames."""
+    won = (games.frames < full) & (games.score > 0)
+    minutes = games.frames.sum() / FRAMES_PER_MINUTE
+    return pd.Series(
+        {
+            "won by knock-out, %": 100 * won.mean(),
+            "seconds per episode": 60 * minutes / len(games),
+            "points per minute": games.score.sum() / minutes,
+        }
+    )
 
 
 def values_reading(section: Section) -> str:
@@ -398,9 +405,6 @@ def values_reading(section: Section) -> str:
             f"{last.realised:.1f} at the last, after {last.episode:,.0f} episodes"
         )
     return f"{'; '.join(said)}."
-
-
-ENDINGS = ("won by knock-out, %", "seconds per episode", "points per minute")
 
 
 def beside_source(section: Section) -> str:
