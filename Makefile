@@ -61,7 +61,7 @@ verify: $(READY) ## play games of every stored run again and compare them with i
 
 # loadfile: what the tests of a file share is made once
 test: $(READY) ## run the tests
-	$(RUN) pytest -n 3 --dist loadfile --no-loadscope-reorder
+	$(RUN) pytest -n 2 --dist loadfile --no-loadscope-reorder
 
 check: $(READY) ## run the linter, the formatter's check, the order of the floors, the types
 	$(RUN) ruff check .
