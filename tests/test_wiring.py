@@ -314,6 +314,11 @@ def _(make, *_):
     assert str(make(device="cpu", learner="torch").learner.device) == "cpu"
 
 
+@case("emulator_processes")
+def _(make, *_):
+    assert len(make(environments=4, emulator_processes=3).envs.others) == 2
+
+
 @pytest.mark.parametrize("names", CASES, ids=", ".join)
 def test_it_reaches_its_place(names, make, monkeypatch, tmp_path):
     CASES[names](make, monkeypatch, tmp_path)

@@ -71,8 +71,16 @@ class Learner:
         self.online.convolutions.requires_grad_(not params.freeze_convolutions)
         self.target = deepcopy(self.online).requires_grad_(False)
         learned = [weight for weight in self.online.parameters() if weight.requires_grad]
+        on_gpu = self.device.type == "cuda"
         self.optimiser = torch.optim.Adam(
-            learned, lr=params.learning_rate, eps=params.adam_epsilon, fused=True
+            learned,
+            # a tensor, so that a recorded update reads it anew (`gpu`)
+            lr=torch.tensor(params.learning_rate, device=self.device)
+            if on_gpu
+            else params.learning_rate,
+            eps=params.adam_epsilon,
+            fused=True,
+            capturable=on_gpu,
         )
         self.updates = 0
 
@@ -87,6 +95,11 @@ class Learner:
         Returns the batch's mean loss and mean Q(s_tm1, a_tm1).
         """
         batch = Batch(**{name: self._tensor(array) for name, array in vars(batch).items()})
+        loss, q = self._update(batch)
+        self._count_update()
+        return loss.item(), q.item()
+
+    def _update(self, batch: Batch) -> tuple[Tensor, Tensor]:
         with torch.no_grad():
             target = self.agent.target(batch, self.online, self.target)  # [B]
         q_tm1 = self.online(batch.s_tm1)  # [B, A]
@@ -95,14 +108,19 @@ class Learner:
         self.optimiser.zero_grad()
         loss.backward()
         self.optimiser.step()
+        return loss.detach(), q_a_tm1.detach().mean()
+
+    def _count_update(self) -> None:
         self.updates += 1
         if self.updates % self.params.target_update_period == 0:
             self._update_target()
-        return loss.item(), q_a_tm1.mean().item()
 
     def set_learning_rate(self, rate: float) -> None:
         for group in self.optimiser.param_groups:
-            group["lr"] = rate
+            if isinstance(group["lr"], Tensor):
+                group["lr"].fill_(rate)
+            else:
+                group["lr"] = rate
 
     @torch.no_grad()
     def _update_target(self) -> None:

@@ -292,6 +292,7 @@ class VectorStep:
     ages: np.ndarray  # int32, agent steps since the game began; 0 = this step began it
     rewards: np.ndarray  # float32, what is learned from: clipped, less the life-loss penalty
     terminated: np.ndarray  # bool, the game is over (not merely cut)
+    ended: np.ndarray  # bool, it is over or was cut, and restarts in the next step
     finished: list[FinishedEpisode]
 
 
@@ -300,17 +301,21 @@ class VectorEnv:
 
     A game that ended restarts in the next step, whose action it ignores (Gymnasium's next-step
     autoreset): that step has age 0, and must never be learned from.
+
+    `games` are those of the run's games that are played here, by default all.
     """
 
-    def __init__(self, params: Parameters, seed: np.random.SeedSequence):
+    def __init__(
+        self, params: Parameters, seed: np.random.SeedSequence, games: slice | None = None
+    ):
         self.params = params
-        self.envs = [make_env(params) for _ in range(params.environments)]
+        seeds = seed.generate_state(params.environments)[games or slice(None)]
+        self.envs = [make_env(params) for _ in seeds]
         self.actions = len(self.envs[0].actions)
         # The last `frame_stack` images of every game, oldest first. Planes, since the newest are
         # the replay memory's and one call interleaves them into observations.
         self.planes = np.zeros((params.frame_stack, len(self.envs), SIZE * SIZE), np.uint8)
         self.ended = np.zeros(len(self.envs), bool)
-        seeds = seed.generate_state(len(self.envs))
         for index, env in enumerate(self.envs):
             self.planes[:, index] = env.reset(seed=int(seeds[index]))[0].reshape(-1)
 
@@ -336,7 +341,7 @@ class VectorEnv:
                 self.ended[index] = True
                 finished.append(FinishedEpisode(env.score, env.length, env.frames, env.played()))
         ages = np.array([env.length for env in self.envs], np.int32)
-        return VectorStep(self.planes[-1], ages, rewards, terminated, finished)
+        return VectorStep(self.planes[-1], ages, rewards, terminated, self.ended, finished)
 
     def get_state(self) -> dict[str, Any]:
         return {

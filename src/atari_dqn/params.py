@@ -132,6 +132,9 @@ class Parameters(BaseModel):
     learner: Literal["auto", "native", "torch"] = Field(
         "auto", description="what makes the updates; auto is the native one on a CPU, if it builds"
     )
+    emulator_processes: int = Field(
+        1, ge=1, le=64, description="processes that share a run's emulators; 1 steps them in turn"
+    )
     evaluation_games: int = Field(100, ge=1, description="games of the final evaluation")
     evaluation_epsilon: Number = Field(0.001, ge=0, le=1, description="probability, evaluating")
     evaluation_difficulties: list[int] = Field(
@@ -193,7 +196,7 @@ class Parameters(BaseModel):
 
 
 NOT_VARIANT = {"experiment", "profile", "agents", "seeds", "episodes", "variations"}
-NOT_VARIANT |= {"device", "learner"}
+NOT_VARIANT |= {"device", "learner", "emulator_processes"}
 NOT_TRAINING = NOT_VARIANT | {"snapshot_games", "evaluation_games", "evaluation_epsilon"}
 EVALUATED_BESIDES = {"evaluation_difficulties", "evaluation_stickiness"}
 NOT_TRAINING |= EVALUATED_BESIDES
@@ -350,7 +353,7 @@ def variants(params: Parameters) -> dict[str, Parameters]:
 
 def _renamed(base: Parameters, changed: Parameters) -> Parameters:
     """`changed` under a name of its own, if it differs from `base` in more than what is picked."""
-    picks = {"agents", "seeds", "device", "learner", "variations"}
+    picks = {"agents", "seeds", "device", "learner", "emulator_processes", "variations"}
     if changed.model_dump(exclude=picks) == base.model_dump(exclude=picks):
         return changed
     name, _, renamed = base.experiment.partition("+")

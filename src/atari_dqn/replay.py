@@ -36,6 +36,16 @@ class Batch:
     s_t: np.ndarray  # uint8 [N, 84, 84, S]
 
 
+@dataclass(frozen=True)
+class Drawn:
+    """Transitions of the memory, N of them."""
+
+    slots: np.ndarray  # int64 [S+1, N], of the images x_{t-S} to x_t, oldest first
+    a_tm1: np.ndarray  # int64 [N]
+    r_t: np.ndarray  # float32 [N]
+    discount_t: np.ndarray  # float32 [N]
+
+
 class ImageCodec:
     """Lossless compression of images that resemble one another.
 
@@ -161,10 +171,7 @@ class ReplayMemory:
         terminated: np.ndarray,
     ) -> None:
         """Writes one slot a stream: images uint8 [streams, 84*84], the rest [streams]."""
-        if self.codec is None:
-            self.codec = ImageCodec(images[0].tobytes())
-        for stream, image in enumerate(images):
-            self.frames[self.row * self.streams + stream] = self.codec.compress(image)
+        self._store(images)
         self.ages[self.row] = ages
         self.actions[self.row] = actions
         self.rewards[self.row] = rewards
@@ -179,17 +186,26 @@ class ReplayMemory:
         They are drawn from all, but in a full ring never from the `stack` oldest rows, not even
         where a young game's transition there is whole.
         """
+        drawn = self.draw(count)
+        images = self._images(drawn.slots)
+        return Batch(
+            s_tm1=interleave(images[:-1]),
+            a_tm1=drawn.a_tm1,
+            r_t=drawn.r_t,
+            discount_t=drawn.discount_t,
+            s_t=interleave(images[1:]),
+        )
+
+    def draw(self, count: int) -> "Drawn":
+        """The same transitions, their images by slot."""
         rows, streams = self._draw(count)
         ages = self.ages[rows, streams]
         back = np.arange(self.stack, -1, -1)[:, None]  # S, ..., 1, 0 slots back
-        slots = (rows - np.minimum(back, ages)) % self.rows * self.streams + streams  # [S+1, N]
-        images = self._images(slots)
-        return Batch(
-            s_tm1=interleave(images[:-1]),
+        return Drawn(
+            slots=(rows - np.minimum(back, ages)) % self.rows * self.streams + streams,
             a_tm1=self.actions[rows, streams].astype(np.int64),
             r_t=self.rewards[rows, streams],
             discount_t=np.where(self.terminated[rows, streams], 0, self.gamma).astype(np.float32),
-            s_t=interleave(images[1:]),
         )
 
     def _draw(self, count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -208,6 +224,13 @@ class ReplayMemory:
             streams[missing] = self.rng.integers(self.streams, size=missing.size)
             missing = missing[self.ages[rows[missing], streams[missing]] == 0]
         return rows, streams
+
+    def _store(self, images: np.ndarray) -> None:
+        """Keeps a row of images, uint8 [streams, 84*84]."""
+        if self.codec is None:
+            self.codec = ImageCodec(images[0].tobytes())
+        for stream, image in enumerate(images):
+            self.frames[self.row * self.streams + stream] = self.codec.compress(image)
 
     def _images(self, slots: np.ndarray) -> np.ndarray:
         """Slots [K, N] to images uint8 [K, N, 84*84]."""

@@ -21,10 +21,11 @@ import numpy as np
 import torch
 
 from atari_dqn.agents import AGENTS
-from atari_dqn.envs import EpisodeRecord, FinishedEpisode, VectorEnv
+from atari_dqn.emulators import new_vector_env
+from atari_dqn.envs import EpisodeRecord, FinishedEpisode
+from atari_dqn.gpu import new_memory
 from atari_dqn.native import new_learner
 from atari_dqn.params import Parameters
-from atari_dqn.replay import ReplayMemory
 from atari_dqn.schedules import epsilon, epsilon_greedy, learning_rate
 
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3  # names of glibc's <malloc.h>
@@ -82,17 +83,11 @@ class Trainer:
     ):
         seeds = np.random.SeedSequence(seed).spawn(4)
         self.params = params
-        self.envs = VectorEnv(params, seeds[0])
-        self.memory = ReplayMemory(
-            params.replay_capacity,
-            params.environments,
-            params.frame_stack,
-            params.gamma,
-            seeds[1],
-        )
+        self.envs = new_vector_env(params, seeds[0])
         self.rng = np.random.default_rng(seeds[2])  # exploration
         weights_seed = int(seeds[3].generate_state(1)[0])
         self.learner = new_learner(AGENTS[agent], self.envs.actions, params, weights_seed, initial)
+        self.memory = new_memory(params, seeds[1], self.learner.device)
         self.agent_steps, self.episodes, self.frames = 0, 0, 0
         self.sums = np.zeros(3)  # loss, Q-value, updates since games last finished
         self.means = (float("nan"), float("nan"))

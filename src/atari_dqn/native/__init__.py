@@ -28,6 +28,7 @@ from atari_dqn.agents import (
     q_learning,
     torch_device,
 )
+from atari_dqn.gpu import GraphLearner
 from atari_dqn.networks import FEATURES, DuelingNetwork, NatureNetwork
 from atari_dqn.params import ParameterError, Parameters
 from atari_dqn.replay import Batch
@@ -157,8 +158,9 @@ def new_learner(
     given = (agent, actions, params, seed, initial)
     if params.learner == "native" and params.device == "cuda":
         raise ParameterError("learner: 'native' is not allowed: it needs the CPU; device is 'cuda'")
-    on_gpu = torch_device(params.device).type != "cpu"
-    if params.learner == "torch" or (params.learner == "auto" and on_gpu):
+    if torch_device(params.device).type == "cuda":
+        return GraphLearner(*given)
+    if params.learner == "torch":
         return Learner(*given)
     try:
         return NativeLearner(*given)

@@ -15,7 +15,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import fields
 from datetime import UTC, datetime
-from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -34,6 +33,7 @@ from atari_dqn.runs.evaluations import evaluations_lock, store_evaluation
 from atari_dqn.runs.files import RunError, write_atomically
 from atari_dqn.runs.models import initial_weights, load_model, model_bytes
 from atari_dqn.runs.run import COMPLETE, FAILED, INTERRUPTED, RUNNING, STALE, Run
+from atari_dqn.runs.value_checks import ValueChecks
 from atari_dqn.training import Episode, Trainer, prepare_process
 
 CHECKPOINT_SECONDS = 900.0  # training time between checkpoints
@@ -125,6 +125,7 @@ class Recorder:
 
     def __init__(self, run: Run):
         self.run = run
+        self.checks = ValueChecks(run.params, run.seed)
         saved = checkpoints.load(run.state_folder)
         initial = initial_weights(run) if saved is None else None
         self.trainer = Trainer(run.params, run.agent, run.seed, initial)
@@ -199,6 +200,7 @@ class Recorder:
                 )
 
     def close(self) -> None:
+        self.checks.close()
         for file in self.files.values():
             with suppress(OSError):  # a row that could not be written has been reported
                 file.close()
@@ -218,24 +220,18 @@ class Recorder:
         self._append("episodes.csv", _row(episode, Episode.columns()))
         self._append("timing.csv", f"{episode.episode},{self.now():.1f},{self.cpu_now():.1f}")
         if episode.episode % params.VALUES_PERIOD == 0:
-            self._check_values()
+            self.checks.ask(self.trainer.learner, episode.episode)
+        self._write_checks()
         if episode.episode in self.run.params.snapshot_games:
             self._take_snapshot()
         self.scores = [*self.scores[-99:], episode.score]
         self.write_status(RUNNING)
 
-    def _check_values(self) -> None:
-        player, parameters = self.trainer.learner.q_values, self.run.params
-        check, games = evaluation.check_values(
-            player, parameters, self.held_out, self.episodes, self.run.seed
-        )
-        heading = {"kind": records.VALUES, "episode": self.episodes}
-        self._record([({**heading, "game": game.game}, game.record) for game in games])
-        self._append("values.csv", _row(check, LOGS["values.csv"]))
-
-    @cached_property
-    def held_out(self) -> np.ndarray:
-        return evaluation.held_out_states(self.run.params)
+    def _write_checks(self, wait: bool = False) -> None:
+        for check, games in self.checks.finished(wait):
+            heading = {"kind": records.VALUES, "episode": check.episode}
+            self._record([({**heading, "game": game.game}, game.record) for game in games])
+            self._append("values.csv", _row(check, LOGS["values.csv"]))
 
     def _take_snapshot(self) -> None:
         name = f"games-{self.episodes:05d}.safetensors"
@@ -281,6 +277,7 @@ class Recorder:
     def save(self) -> None:
         self.seconds, self.clock = self.now(), time.monotonic()
         self.cpu_seconds, self.cpu_clock = self.cpu_now(), time.process_time()
+        self._write_checks(wait=True)
         self._note_memory()
         state = {
             "trainer": self.trainer.get_state(),

@@ -1,0 +1,179 @@
+"""Learning on a GPU: the update of `agents.Learner`, recorded once and replayed as a CUDA graph,
+and a replay memory whose images lie on the GPU.
+
+An update is some sixty small kernels. Called one by one from Python they take longer to launch than
+to run; a graph launches them all at once. A batch then travels as the numbers of its slots.
+"""
+
+from collections.abc import Callable
+from copy import deepcopy
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from atari_dqn.agents import Agent, Learner
+from atari_dqn.envs import SIZE
+from atari_dqn.params import Parameters
+from atari_dqn.replay import PIXELS, Batch, Drawn, ImageCodec, ReplayMemory
+
+WARM_UP = 3  # updates before the recording, as PyTorch's documentation of graphs asks for
+CONVOLUTIONS = torch.contiguous_format  # the faster one for float32 on a GPU
+CHUNK = 4096  # images that are compressed or decompressed at a time
+
+
+def new_memory(
+    params: Parameters, seed: np.random.SeedSequence, device: torch.device
+) -> ReplayMemory:
+    """A run's replay memory: on the GPU if the networks are there, else compressed."""
+    given = (
+        params.replay_capacity,
+        params.environments,
+        params.frame_stack,
+        params.gamma,
+        seed,
+    )
+    return ReplayMemory(*given) if device.type == "cpu" else GPUReplayMemory(*given, device)
+
+
+class GPUReplayMemory(ReplayMemory):
+    """A replay memory whose images lie on a GPU, a byte per pixel: 7 GB for a million.
+
+    Its state is that of a `ReplayMemory` with the same contents.
+    """
+
+    def __init__(
+        self,
+        capacity: int,
+        streams: int,
+        stack: int,
+        gamma: float,
+        seed: np.random.SeedSequence,
+        device: torch.device,
+    ):
+        super().__init__(capacity, streams, stack, gamma, seed)
+        # one row of streams after the other, as slots are numbered
+        self.images = torch.zeros((self.rows * streams, PIXELS), dtype=torch.uint8, device=device)
+
+    def sample(self, count: int) -> "GPUBatch":  # type: ignore[override]
+        return GPUBatch(self.images, self.draw(count))
+
+    def _store(self, images: np.ndarray) -> None:
+        if self.codec is None:  # of the state; here nothing is compressed
+            self.codec = ImageCodec(images[0].tobytes())
+        first = self.row * self.streams
+        self.images[first : first + self.streams].copy_(torch.from_numpy(images))
+
+    def get_state(self) -> dict[str, Any]:
+        assert self.codec is not None
+        for chunk in np.array_split(self._oldest_first(), max(1, len(self) // CHUNK)):
+            images = self.images[torch.from_numpy(chunk).to(self.images.device)].cpu().numpy()
+            for slot, image in zip(chunk.tolist(), images, strict=True):
+                self.frames[slot] = self.codec.compress(image)
+        state = super().get_state()
+        self.frames = type(self.frames)(self.rows * self.streams)
+        return state
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        super().set_state(state)
+        for chunk in np.array_split(self._oldest_first(), max(1, len(self) // CHUNK)):
+            images = torch.from_numpy(self._images(chunk).copy())
+            self.images[torch.from_numpy(chunk).to(self.images.device)] = images.to(
+                self.images.device
+            )
+        self.frames = type(self.frames)(self.rows * self.streams)
+
+
+class GPUBatch:
+    """Transitions whose images lie in `images`, uint8 [slots, 84*84], on the GPU."""
+
+    def __init__(self, images: Tensor, drawn: Drawn):
+        self.images, self.drawn = images, drawn
+
+
+class GraphLearner(Learner):
+    """`agents.Learner` on a GPU: the same update, replayed as a CUDA graph."""
+
+    def __init__(
+        self,
+        agent: Agent,
+        actions: int,
+        params: Parameters,
+        seed: int,
+        initial: dict[str, Tensor] | None = None,
+    ):
+        torch.backends.cudnn.allow_tf32 = False  # it keeps 10 of a product's 23 bits
+        torch.backends.cudnn.benchmark = True  # tries the kernels there are before the recording
+        super().__init__(agent, actions, params, seed, initial)
+        for network in (self.online, self.target):
+            network.convolutions.to(memory_format=CONVOLUTIONS)  # type: ignore[call-overload]
+        self.acting: _Graph | None = None
+        self.learning: _Graph | None = None
+
+    @torch.no_grad()
+    def q_values(self, observations: np.ndarray) -> np.ndarray:
+        if len(observations) != self.params.environments:
+            return super().q_values(observations)
+        if self.acting is None:
+            self.acting = _Graph(self.online, [self._tensor(observations)])
+        return self.acting(torch.from_numpy(observations)).cpu().numpy()
+
+    def learn(self, batch: GPUBatch) -> tuple[float, float]:  # type: ignore[override]
+        inputs = [torch.from_numpy(array) for array in vars(batch.drawn).values()]
+        if self.learning is None:
+            self.learning = self._recorded(batch.images, inputs)
+        loss, q = self.learning(*inputs).tolist()
+        self._count_update()
+        return loss, q
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        super().set_state(state)
+        self.acting = self.learning = None  # the optimiser's moments lie elsewhere now
+
+    def _recorded(self, images: Tensor, inputs: list[Tensor]) -> "_Graph":
+        def update(slots: Tensor, a_tm1: Tensor, r_t: Tensor, discount_t: Tensor) -> Tensor:
+            planes = images[slots].unflatten(-1, (SIZE, SIZE))  # [S+1, N, 84, 84]
+            stacks = planes.permute(1, 2, 3, 0)
+            batch = Batch(stacks[..., :-1], a_tm1, r_t, discount_t, stacks[..., 1:])  # type: ignore[arg-type]
+            return torch.stack(self._update(batch))
+
+        before = deepcopy(self.get_state())
+        return _Graph(update, [each.to(self.device) for each in inputs], lambda: self._undo(before))
+
+    @torch.no_grad()
+    def _undo(self, before: dict[str, Any]) -> None:
+        """Takes weights and moments back, in place, to an earlier state."""
+        self.online.load_state_dict(before["online"])
+        for name, parameter in self.online.named_parameters():
+            for key, value in self.optimiser.state.get(parameter, {}).items():
+                value.copy_(before["moments"].get(f"{name}.{key}", torch.zeros(())))
+
+
+class _Graph:
+    """A function of tensors, recorded. It is called a few times first, as PyTorch's documentation
+    of CUDA graphs asks for, and `undo` then undoes what these calls have changed."""
+
+    def __init__(
+        self,
+        function: Callable[..., Tensor],
+        inputs: list[Tensor],
+        undo: Callable[[], None] = lambda: None,
+    ):
+        self.inputs = [each.clone() for each in inputs]
+        aside = torch.cuda.Stream()
+        aside.wait_stream(torch.cuda.current_stream())
+        with torch.cuda.stream(aside):
+            for _ in range(WARM_UP):
+                function(*self.inputs)
+        torch.cuda.current_stream().wait_stream(aside)
+        undo()
+        self.graph = torch.cuda.CUDAGraph()
+        with torch.cuda.graph(self.graph):
+            self.output = function(*self.inputs)
+
+    def __call__(self, *inputs: Tensor) -> Tensor:
+        for own, given in zip(self.inputs, inputs, strict=True):
+            own.copy_(given, non_blocking=True)
+        self.graph.replay()
+        return self.output
