@@ -63,7 +63,7 @@ def _stored(code: str, profile: str, results: Path) -> Iterator[Path]:
         for run in runs_of(params.load(path), results) if shows_runs else ():
             for each in (run, run.source()):
                 if each is not None:
-                    files = [*each.folder.rglob("[!.]*"), each.styles]
+                    files = [*each.folder.rglob("[!.]*"), each.styles, each.robustness]
                     yield from sorted(file for file in files if file.is_file())
 
 
