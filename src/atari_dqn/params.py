@@ -109,6 +109,7 @@ class Parameters(BaseModel):
     warmup_learning_rate: Number = Field(0.0, ge=0, description="step size before the first game")
     adam_epsilon: Number = Field(1e-8, gt=0, description="added to Adam's denominator")
     gamma: Number = Field(0.99, ge=0, lt=1, description="discount per agent step")
+    n_steps: int = Field(1, ge=1, le=16, description="agent steps of reward before a value is used")
     target_update_period: int = Field(2000, ge=1, description="updates between target updates")
     tau: Number = Field(1.0, gt=0, le=1, description="share of the way to the online weights")
 
