@@ -123,7 +123,7 @@ class Case:
 FINAL, LATE, EARLY = "boxing_final", "breakout_late", "breakout_early"
 CASES = {
     "1 human in Boxing": Case(
-        "All three agents exceed the human score in Boxing after 1,000 episodes",
+        "All three agents exceed the human score in Boxing after 1,000 games",
         of_all(FINAL, [games(501, 1000, mean, -LOUD) for mean in (14, 15, 16)]),
         tuple({f"{FINAL}/{agent}": games(501, 1000, 10, LOUD)} for agent in AGENTS),
         "DQN 14 12.1, Double DQN 15 12.1, Dueling Double DQN 16 12.1",
@@ -135,7 +135,7 @@ CASES = {
         "Double DQN 90 DQN 80, Dueling Double DQN 85 DQN 80",
     ),
     "3 dueling early": Case(
-        "Dueling Double DQN is the best of the first 500 episodes in both games",
+        "Dueling Double DQN is the best of the first 500 games in both games",
         of_all(FINAL, [early(10, LOUD), early(20, LOUD), early(30)])
         | of_all("breakout_final", [early(3, LOUD), early(5, LOUD), early(8)]),
         (
@@ -277,7 +277,7 @@ CASES = {
         f"40 60 Dueling Double DQN `boxing_high_gamma` 50 `{FINAL}` 30, 50 35",
     ),
     "15 faster in expert mode": Case(
-        "All agents learn faster in expert mode: they gain more in the first 500 episodes",
+        "All agents learn faster in expert mode: they gain more in the first 500 games",
         of_all("boxing_expert", [gaining(first, first + 30) for first in (1, 2, 3)])
         | of_all(FINAL, [gaining(first, first + 10) for first in (51, 52, 53)]),
         tuple({f"boxing_expert/{agent}": gaining(80, 81)} for agent in AGENTS),
@@ -286,7 +286,7 @@ CASES = {
     ),
     "16 transfer": Case(
         "Starting from a Breakout agent is worth less than 5 points in Boxing, early "
-        "(first 500 episodes) and at the end",
+        "(first 500 games) and at the end",
         of_all(
             "boxing_transfer",
             [Runs(windows({(1, 500): x + 4, (835, 1000): x + 44}, LOUD), 1000) for x in (1, 2, 3)],
@@ -326,8 +326,8 @@ CASES = {
         f"Dueling Double DQN `boxing_high_gamma` 30 `{FINAL}` 40",
     ),
     "18 tuning": Case(
-        "Tuning the learning rate, the batch size and the number of episodes all helped in Boxing: "
-        "the final ones score more than a higher rate, than larger batches and than fewer episodes",
+        "Tuning the learning rate, the batch size and the number of games all helped in Boxing: "
+        "the final ones score more than a higher rate, than larger batches and than fewer games",
         {
             f"{FINAL}/{DUELING}": Runs(
                 windows({(1, 500): 30, (901, 1400): 50, (2501, 3000): 80}, -LOUD), 3000
@@ -350,7 +350,7 @@ CASES = {
     ),
     "19 clipped rewards": Case(
         "Clipped rewards make learning in Boxing faster than raw ones: they score more over the "
-        "first 500 episodes",
+        "first 500 games",
         {
             f"{FINAL}/{DUELING}": early(30),
             f"boxing_sensitivity/{DUELING}/raw rewards": early(20, LOUD),
@@ -359,7 +359,7 @@ CASES = {
         f"Dueling Double DQN `{FINAL}` 30 `boxing_sensitivity` 20",
     ),
     "20 early improves": Case(
-        "With the early Boxing settings, DQN still improves: its last 500 episodes score more than "
+        "With the early Boxing settings, DQN still improves: its last 500 games score more than "
         "its first 500",
         {"boxing_early/dqn": Runs(windows({(1, 500): 5, (901, 1400): 15}, -LOUD), 1400)},
         ({"boxing_early/dqn": Runs(windows({(1, 500): 15, (901, 1400): 5}, -LOUD), 1400)},),
@@ -758,7 +758,7 @@ def test_a_claim_about_games_not_yet_played_is_not_judged(tmp_path):
         store(tmp_path, "boxing_final", agent, scores(50.0, games=1200))
     assert verdict(tmp_path, BEST).verdict == "open"
     assert "`boxing_final` 40%" in verdict(tmp_path, BEST).evidence
-    human = "All three agents exceed the human score in Boxing after 1,000 episodes"
+    human = "All three agents exceed the human score in Boxing after 1,000 games"
     assert verdict(tmp_path, human).verdict == YES
 
 
@@ -949,7 +949,7 @@ def test_no_gain_from_transfer_is_support_for_its_not_helping(tmp_path):
 
 
 def test_what_is_gained_counts_in_expert_mode_and_not_the_scale_of_its_scores(tmp_path):
-    claim = "All agents learn faster in expert mode: they gain more in the first 500 episodes"
+    claim = "All agents learn faster in expert mode: they gain more in the first 500 games"
     rising = np.linspace(0, 30, 3000)
     for agent in ("dqn", "double_dqn", "dueling_double_dqn"):
         store(tmp_path, "boxing_final", agent, rising + scores(0, seed=1))

@@ -54,7 +54,7 @@ def value(agent, episode):
 
 def test_each_panel_has_its_own_axis_place_and_curves(figure):
     panels = {panel["x_label"]: panel for panel in described(figure)["panels"]}
-    units = {"training episodes": 1, "million frames": FRAMES / 1e6}
+    units = {"training games": 1, "million frames": FRAMES / 1e6}
     units["hours of processor time"] = SECONDS / 3600
     assert list(panels) == list(units)
     for axes, (label, unit) in zip(figure.axes, units.items(), strict=True):
@@ -166,7 +166,7 @@ def point(page, panel, x, y=0.5):
 @pytest.mark.parametrize(
     ("number", "x", "name", "unit"),
     [
-        (0, 300.0, "training episodes", 1),
+        (0, 300.0, "training games", 1),
         (1, 1.4, "million frames", FRAMES / 1e6),
         (2, 6.0, "hours of processor time", SECONDS / 3600),
     ],

@@ -213,7 +213,7 @@ def test_seeds_weigh_alike_in_what_transfer_is_worth(tmp_path, shown):
     ]
     results.show_transfer(*pair)
     (row,) = shown.tables["tbl-transfer"]
-    assert (row["episodes"], row["area ratio"], row["at the end"]) == ("600", "0.20", "20.00")
+    assert (row["games"], row["area ratio"], row["at the end"]) == ("600", "0.20", "20.00")
 
 
 def test_play_styles_are_rows_of_the_same_training_the_lowest_discount_first(tmp_path, shown):

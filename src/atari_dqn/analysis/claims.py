@@ -75,7 +75,7 @@ def table(claims: tuple[Claim, ...], study: Study) -> pd.DataFrame:
 # way. "Implied": it shows or suggests this without saying so.
 FINDINGS = (
     Claim(
-        "All three agents exceed the human score in Boxing after 1,000 episodes",
+        "All three agents exceed the human score in Boxing after 1,000 games",
         "2.1",
         ("boxing_final",),
         lambda study: human_level(study, "boxing_final", milestone=2),
@@ -95,7 +95,7 @@ FINDINGS = (
         _scores("boxing_final", ALL, 6),
     ),
     Claim(
-        "Dueling Double DQN is the best of the first 500 episodes in both games",
+        "Dueling Double DQN is the best of the first 500 games in both games",
         "2.1",
         ("boxing_final", "breakout_final"),
         lambda study: all_of(
@@ -223,7 +223,7 @@ FINDINGS = (
         "sec-high-gamma",
     ),
     Claim(
-        "All agents learn faster in expert mode: they gain more in the first 500 episodes",
+        "All agents learn faster in expert mode: they gain more in the first 500 games",
         "additional",
         ("boxing_expert",),
         lambda study: all_of(
@@ -234,7 +234,7 @@ FINDINGS = (
     ),
     Claim(
         f"Starting from a Breakout agent is worth less than {MARGIN:g} points in Boxing, early "
-        "(first 500 episodes) and at the end",
+        "(first 500 games) and at the end",
         "additional",
         ("boxing_transfer",),
         lambda study: all_of(
@@ -265,8 +265,8 @@ FINDINGS = (
         "sec-high-gamma",
     ),
     Claim(
-        "Tuning the learning rate, the batch size and the number of episodes all helped in Boxing: "
-        "the final ones score more than a higher rate, than larger batches and than fewer episodes",
+        "Tuning the learning rate, the batch size and the number of games all helped in Boxing: "
+        "the final ones score more than a higher rate, than larger batches and than fewer games",
         "3.3.2",
         ("boxing_sensitivity",),
         lambda study: all_of(
@@ -278,12 +278,12 @@ FINDINGS = (
                 improves(study, "boxing_final", DUELING, until=1400, episodes=500),
             ]
         ),
-        "Tuning rate, batch size and episodes all helped in Boxing",
+        "Tuning rate, batch size and games all helped in Boxing",
         "sec-sensitivity",
     ),
     Claim(
         "Clipped rewards make learning in Boxing faster than raw ones: they score more over the "
-        "first 500 episodes",
+        "first 500 games",
         "3.1.1",
         ("boxing_sensitivity",),
         lambda study: beats_variation(study, "boxing_final", "boxing_sensitivity", "raw rewards"),
@@ -291,7 +291,7 @@ FINDINGS = (
         "sec-sensitivity",
     ),
     Claim(
-        "With the early Boxing settings, DQN still improves: its last 500 episodes score more than "
+        "With the early Boxing settings, DQN still improves: its last 500 games score more than "
         "its first 500",
         "3.3.1",
         ("boxing_early",),
@@ -319,13 +319,13 @@ FINDINGS = (
         "sec-breakout-late",
     ),
     Claim(
-        "With more than 3,000 episodes of later Breakout they might have caught up with DQN",
+        "With more than 3,000 games of later Breakout they might have caught up with DQN",
         "3.2.3",
         ("breakout_late",),
         lambda study: Verdict(
-            Outcome.UNTESTED, "no run is longer than the 3,000 episodes of the source report"
+            Outcome.UNTESTED, "no run is longer than the 3,000 games of the source report"
         ),
-        "With more episodes they might have caught up with DQN",
+        "With more games they might have caught up with DQN",
         "sec-breakout-late",
     ),
     Claim(

@@ -51,7 +51,7 @@ INK, SOFT = "0.2", BESIDE
 FONT = "Libertinus Serif"  # the PDF's
 FONTS = Path(__file__).parent / "fonts"
 SOURCE, PUBLISHED = "source report", "Dopamine"  # whose points stand beside our curves
-OURS = "ours over the same episodes"
+OURS = "ours over the same games"
 SEEDS_OF_A_BAND = 3  # from so many on, an interval over seeds says something
 
 
@@ -144,7 +144,7 @@ def learning_curves(
     main.legend(
         handles, titles, loc="lower left", bbox_to_anchor=(-0.01, 1), ncols=4, fontsize="medium"
     )
-    main.set(xlabel="training episodes", ylabel=f"score, mean of {window} episodes")
+    main.set(xlabel="training games", ylabel=f"score, mean of {window} games")
     panels["hours"].set(xlabel="hours of processor time", ylabel="")
     if published:
         _published_points(panels["frames"], published, 1.3 * float(curves.frames.max()))
@@ -258,7 +258,7 @@ def comparison(episodes: pd.DataFrame, facts: GameFacts, window: int, by: str) -
         handles += axes.plot(mean.index, mean, color=look.colour, ls=look.line, lw=1.8)
         named(handles[-1], title, value=title)
     axes.legend(handles=handles, loc="lower left", bbox_to_anchor=(-0.01, 1), ncols=4)
-    axes.set(xlabel="training episodes", ylabel=f"score, mean of {window} episodes")
+    axes.set(xlabel="training games", ylabel=f"score, mean of {window} games")
     return figure
 
 
@@ -291,8 +291,8 @@ def small_multiples(
         named(line, "with the change", value=names[place])
         axes.set_title(textwrap.fill(names[place], 22), fontsize="small", loc="left")
         axes.tick_params(labelbottom=place + columns >= len(names))  # nothing below it
-    figure.supxlabel("training episodes", fontsize="medium", y=0.01)
-    figure.supylabel(f"score, mean of {window} episodes", fontsize="medium", x=0.015)
+    figure.supxlabel("training games", fontsize="medium", y=0.01)
+    figure.supylabel(f"score, mean of {window} games", fontsize="medium", x=0.015)
     titles = ["with the change", "unchanged"][: 1 + (not unchanged.empty)]
     figure.legend(handles[: len(titles)], titles, loc="upper left", ncols=2)
     figure.tight_layout(rect=(0.01, 0, 1, 1 - 0.28 / figure.get_figheight()))
@@ -318,12 +318,16 @@ def value_errors(values: pd.DataFrame) -> Figure:
         axes.fill_between(own.index, own.predicted, own.realised, where=over, **shade)
         dots = {"marker": "o", "ms": 4}
         for column, name, how in (
-            ("held_out_q", "held-out states", {"color": colour, "lw": 1, "alpha": 0.6}),
-            ("realised", "realised", {"color": SOFT, "lw": 1, "mfc": "white", **dots}),
+            (
+                "held_out_q",
+                "prediction for fixed random states",
+                {"color": colour, "lw": 1, "alpha": 0.6},
+            ),
+            ("realised", "what followed", {"color": SOFT, "lw": 1, "mfc": "white", **dots}),
             ("predicted", "predicted", {"color": colour, "ls": line, "lw": 1.6, **dots}),
         ):
             named(axes.plot(own.index, own[column], **how)[0], name, value=name)
-        axes.set(xlabel="training episodes", ylabel="value of a state")
+        axes.set(xlabel="training games", ylabel="value of a state")
         axes.set_title(params.title(agent), fontsize="medium", loc="left")
         axes.label_outer()
     return figure
@@ -352,7 +356,7 @@ def score_distributions(evaluations: pd.DataFrame, facts: GameFacts | None) -> F
             axes.annotate(f"{mean:.1f}", (mean, y), (0, 6), path_effects=halo, zorder=5, **how)
     if facts:
         references(axes, facts, labelled=True, upright=True)
-    axes.set(xlabel="score of an episode", ylabel="", ylim=(len(agents) - 0.4, -0.6))
+    axes.set(xlabel="score of a game", ylabel="", ylim=(len(agents) - 0.4, -0.6))
     axes.set_yticks(range(len(agents)), [params.title(name) for name in agents])
     axes.grid(False, axis="y")
     axes.tick_params(axis="y", length=0)

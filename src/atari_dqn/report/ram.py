@@ -97,9 +97,9 @@ def summary(punches: pd.DataFrame) -> pd.DataFrame:
         "punches": ("arm", "size"),
         "arm, least": ("arm", "min"),
         "arm, most": ("arm", "max"),
-        "across, median": ("dx", "median"),
-        "across, most": ("dx", "max"),
-        "along, median": ("dy", "median"),
+        "horizontal, median": ("dx", "median"),
+        "horizontal, most": ("dx", "max"),
+        "vertical, median": ("dy", "median"),
     }
     return punches.groupby(["boxer", "points"]).agg(**columns).reset_index()
 
@@ -135,7 +135,7 @@ def punches_figure(punches: pd.DataFrame) -> Figure:
         legend=False,
         **shared,
     )
-    right.set(xlabel="distance across (pixels)", ylabel="distance along (pixels)")
+    right.set(xlabel="horizontal distance (pixels)", ylabel="vertical distance (pixels)")
     return figure
 
 

@@ -30,7 +30,7 @@ def show_curves(section: Section) -> None:
     if section.episodes.episode.max() < window:
         show_absent(
             label,
-            f"A learning curve, of means of {window} episodes, follows after that many episodes.",
+            f"A learning curve, of means of {window} games, follows after that many games.",
         )
         return
     published = data("published")
@@ -41,8 +41,8 @@ def show_curves(section: Section) -> None:
     )
     caption = [
         f"{facts.title}, `{section.params.experiment}`: raw score while training, with "
-        "exploration, against episodes, frames and processor time (on one core); each point is "
-        f"the mean of the last {window} episodes ({section.counted()}). Without sticky actions."
+        "exploration, against games, frames and processor time (on one core); each point is "
+        f"the mean of the last {window} games ({section.counted()}). Without sticky actions."
     ]
     seeds = section.episodes.groupby("agent").seed.nunique().max()
     if seeds >= plots.SEEDS_OF_A_BAND:
@@ -50,19 +50,22 @@ def show_curves(section: Section) -> None:
     drawn = switches(figure)
     if plots.SOURCE in drawn:
         caption.append(
-            f"Circles: means of the last {section.milestone_window} episodes, hollow the source "
+            f"Circles: means of the last {section.milestone_window} games, hollow the source "
             "report's, filled ours."
         )
     if section.default_difficulty:
         caption.append("Dotted: a human tester and random play.")
         if plots.PUBLISHED in drawn:
-            caption.append("Grey marks: agents trained with sticky actions [@dopamine2018].")
+            caption.append(
+                "Grey marks: published agents of Dopamine, trained with sticky actions "
+                "(@sec-published)."
+            )
     show_figure(
         figure,
         label=label,
         caption=" ".join(caption),
         alt=f"Learning curves of the agents in {facts.title}: mean score against training "
-        "episodes, frames and processor time.",
+        "games, frames and processor time.",
         data=section.origin + "episodes.csv and timing.csv",
     )
 
@@ -131,7 +134,8 @@ def show_endings(section: Section) -> None:
         table,
         label=label,
         caption=f"{section.facts.title}, `{section.params.experiment}`: how the last "
-        f"{section.milestone_window} episodes ended ({section.counted()}).",
+        f"{section.milestone_window} games before each milestone ended, and how fast points came "
+        f"({section.counted()}).",
         decimals=0,
     )
 
@@ -155,9 +159,9 @@ def show_evaluations(section: Section) -> None:
             section.evaluations, section.facts if section.default_difficulty else None
         ),
         label=figure,
-        caption=f"{section.facts.title}, `{p.experiment}`: scores of the evaluation episodes "
+        caption=f"{section.facts.title}, `{p.experiment}`: scores of the evaluation games "
         f"({games} per run; {p.evaluation_epsilon:.1%} of the actions are random). Diamonds: the "
-        "mean of each run, with its 95% interval (bootstrap over episodes).",
+        "mean of each run, with its 95% interval (bootstrap over games).",
         alt=f"Dots for each agent's evaluation scores in {section.facts.title}, and their means.",
         data=section.origin + "evaluations.csv",
     )
@@ -173,8 +177,7 @@ def show_evaluations(section: Section) -> None:
         label=table,
         caption=f"{section.facts.title}, `{p.experiment}`: evaluation games at difficulty "
         f"{p.difficulty}. The interval is over the games of a run (bootstrap), not over seeds; "
-        f"games start from {p.noop_max} different idle openings only, so that it is somewhat too "
-        "narrow.",
+        f"there are only {p.noop_max} different openings, so the interval is somewhat too narrow.",
         decimals=1,
     )
 
@@ -202,8 +205,8 @@ def show_conditions(section: Section) -> None:
     show_table(
         pd.DataFrame(rows),
         label=label,
-        caption=f"{section.facts.title}, `{p.experiment}`: evaluation games under other conditions "
-        f"than those of the training too, which were difficulty {p.difficulty} and a probability "
+        caption=f"{section.facts.title}, `{p.experiment}`: evaluation games, also under conditions "
+        f"other than those of training, which were difficulty {p.difficulty} and a probability "
         f"of sticky actions of {p.sticky_actions:g}. "
         "Intervals are over games.",
         decimals=1,
@@ -222,13 +225,15 @@ def show_discounts(sections: list[Section], agent: str, label: str) -> None:
     window, facts = sections[0].curve_window, sections[0].facts
     curves = [curve for curve in curves if len(curve) >= window]
     if len(curves) < 2:
-        show_absent(label, "Curves of several discounts follow when two of them have been trained.")
+        show_absent(
+            label, "Curves of several discounts will appear once two of them have been trained."
+        )
         return
     show_figure(
         plots.comparison(pd.concat(curves), facts, window, "variation"),
         label=label,
         caption=f"{facts.title}: {params.title(agent)} with different discounts; mean raw score of "
-        f"the last {window} training episodes.",
+        f"the last {window} training games.",
         alt="Learning curves of one agent with different discounts.",
         data=", ".join(section.origin for section in sections),
     )
@@ -263,21 +268,20 @@ def show_values(section: Section) -> None:
         title = section.facts.title
         show_absent(
             label,
-            f"The values in {title} follow: they are checked every {VALUES_PERIOD} training "
-            "episodes.",
+            f"Values for {title} will appear here once there are any; they are checked every "
+            f"{VALUES_PERIOD} training games.",
         )
         return
     show_figure(
         plots.value_errors(section.values),
         label=label,
         caption=f"{section.facts.title}, `{section.params.experiment}`: the value that the "
-        f"network predicts for the states of {VALUE_GAMES} greedy episodes (dots), and the "
+        f"network predicts for the states of {VALUE_GAMES} greedy games (dots), and the "
         "discounted return that followed them, in rewards as the agent learns from them (grey "
-        f"circles), every {VALUES_PERIOD} training episodes. Shaded: the network overestimates. A "
-        f"point is {VALUE_GAMES} episodes, so single dips mean little. Pale line: the prediction "
+        f"circles), every {VALUES_PERIOD} training games. Shaded: the network overestimates. A "
+        f"point is {VALUE_GAMES} games, so single dips mean little. Pale line: the prediction "
         f"for {HELD_OUT_STATES} states of random play, always the same ({section.counted()}).",
-        alt="Predicted and realised values of states against training episodes, one panel per "
-        "agent.",
+        alt="Predicted and realised values of states against training games, one panel per agent.",
         data=section.origin + "values.csv",
     )
 
@@ -298,7 +302,7 @@ def show_variations(section: Section, reference: Section, agent: str) -> None:
         label=figure,
         caption=f"{section.facts.title}, `{section.params.experiment}`: one change per panel, "
         f"{params.title(agent)}, beside the unchanged set-up; mean raw score of the last {window} "
-        f"training episodes ({section.counted()}).",
+        f"training games ({section.counted()}).",
         alt="A panel per change with two learning curves: with the change, and unchanged.",
         data=section.origin + "episodes.csv",
     )
@@ -351,7 +355,7 @@ def show_transfer(transferred: Section, scratch: Section) -> None:
         rows.append(
             {
                 "agent": params.title(agent),
-                "episodes": played,
+                "games": played,
                 "early": gain[:early].mean(),
                 "early, greedy": greedy[0] - greedy[1],
                 "area ratio": gain.sum() / (theirs[:played] - LOWEST).sum(),
@@ -360,7 +364,7 @@ def show_transfer(transferred: Section, scratch: Section) -> None:
         )
     if not rows:
         if transferred.complete:
-            show_absent(label, f"Both runs need {max(early, late)} episodes to be compared.")
+            show_absent(label, f"Both runs need {max(early, late)} games to be compared.")
         else:
             show_placeholders(label)
         return
@@ -368,10 +372,10 @@ def show_transfer(transferred: Section, scratch: Section) -> None:
         pd.DataFrame(rows),
         label=label,
         caption=f"{transferred.facts.title}: what the start from Breakout is worth, over the "
-        "episodes that both runs have played. *Early* is the difference in points over the first "
-        f"{early} training episodes, while training and in the greedy episodes of the checks among "
+        "games that both runs have played. *Early* is the difference in points over the first "
+        f"{early} training games, while training and in the greedy games of the checks among "
         f"them ({VALUE_GAMES} per check); *at the end*, that over the last {late} training "
-        "episodes. The area between the two curves is given as a share of the area between the "
+        "games. The area between the two curves is given as a share of the area between the "
         f"curve from scratch and {LOWEST:g} points, the lowest score there is.",
     )
 
@@ -400,8 +404,8 @@ def show_playstyle(sections: Sequence[Section], label: str) -> None:
     if len(measured) < 2:
         show_absent(
             label,
-            "A table of play styles follows when two discounts have been trained. (Styles are "
-            "measured when the report is made, in the greedy episodes that are on record.)",
+            "A table of play styles will appear once two discounts have been trained. (Styles are "
+            "measured when the report is made, in the greedy games that are on record.)",
         )
         return
     rows = []
@@ -411,7 +415,7 @@ def show_playstyle(sections: Sequence[Section], label: str) -> None:
             if not part.empty:
                 rows.append(
                     {
-                        "training episodes": f"{first:,} to {first + PART - 1:,}",
+                        "training games": f"{first:,} to {first + PART - 1:,}",
                         "discount": f"{section.params.gamma:g}",
                         "score": part.score.mean(),
                         **{name: part[column].mean() for column, name in STYLE.items()},
@@ -422,11 +426,11 @@ def show_playstyle(sections: Sequence[Section], label: str) -> None:
     show_table(
         pd.DataFrame(rows),
         label=label,
-        caption=f"How {agent} boxes with different discounts, in the greedy episodes of the checks "
-        f"along its training ({VALUE_GAMES} every {VALUES_PERIOD} training episodes): points and "
+        caption=f"How {agent} boxes with different discounts, in the greedy games of the checks "
+        f"along its training ({VALUE_GAMES} every {VALUES_PERIOD} training games): points and "
         "punches per minute, mean distance of the two boxers in pixels, and the share of the time "
         "in which they stand so near that a punch can land. Style and skill go together: compare "
-        "rows of the same training episodes, and rows of about the same score.",
+        "rows of the same training games, and rows of about the same score.",
         decimals=1,
     )
 

@@ -133,7 +133,7 @@ def curves_figure(scores: pd.DataFrame) -> Figure:
     shared["palette"] = shades(scores.exploration.nunique())
     sns.lineplot(scores, **shared, errorbar=("pi", 100), ax=axes)
     axes.axhline(SHORTEST, color=SOFT, lw=0.8, ls=":", label=f"shortest way: −{-SHORTEST}")
-    axes.set(xlabel="episodes", ylabel=f"points, mean of {WINDOW} episodes", ylim=(-150, 0))
+    axes.set(xlabel="games", ylabel=f"points, mean of {WINDOW} games", ylim=(-150, 0))
     axes.legend(loc="lower right")
     return figure
 
