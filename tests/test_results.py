@@ -9,8 +9,9 @@ from synthetic import AGENTS, check, evaluate, numbers, store, study, style, win
 
 from atari_dqn import params
 from atari_dqn.analysis.study import Section
+from atari_dqn.envs import EpisodeRecord
 from atari_dqn.report import notebook, outputs, plots, results
-from atari_dqn.runs import plan, recorder
+from atari_dqn.runs import plan, recorder, records, robustness
 from atari_dqn.runs.files import project_root
 
 DQN, DOUBLE, DUELING = AGENTS
@@ -278,3 +279,49 @@ def test_a_badge_tells_what_is_complete_the_share_played_and_what_is_planned(tmp
     notebook.show_badge(study(tmp_path)["boxing_low_gamma"])
     assert numbers(shown.texts[-1])[:6] == [1, 1, 1000, 100, 1, 1000]
     assert ".partial" not in shown.texts[-1]
+
+
+def test_a_finished_agents_score_stands_beside_those_under_conditions_it_has_never_met(
+    tmp_path, shown
+):
+    run = store(tmp_path, "boxing_final", DQN, np.full(3000, 5.0))
+    evaluate(run, score=80.0)
+    evaluate(run, add=True, score=60.0, sticky_actions=0.25)
+    evaluate(run, add=True, score=FAR, difficulty=1)
+    rows = [("sequence", 10.0), ("mirrored", 30.0)]
+    run.robustness.parent.mkdir(parents=True)
+    pd.DataFrame(
+        {"condition": name, "game": game, "score": mean + off, "length": 9, "trained_games": 3000}
+        for name, mean in rows
+        for game, off in enumerate((-1, 0, 1))
+    ).to_csv(run.robustness, index=False)
+    games = [
+        ({"kind": "training", "episode": number}, EpisodeRecord(idle, bytes(3), None))
+        for number, idle in enumerate((1, 1, 2, 1, 1), 1)
+    ]
+    (run.folder / records.FILE).write_bytes(records.encode(games))
+    results.show_robustness(study(tmp_path)["boxing_final"])
+    table = shown.tables["tbl-boxing-final-robustness"]
+    found = [(row["condition"], row["games"], row["mean score"]) for row in table]
+    assert found == [
+        ("as trained", "40", "80.0"),
+        ("sticky actions, 0.25", "40", "60.0"),
+        ("left and right exchanged", "3", "30.0"),
+        ("the best game's moves, blindly", "3", "10.0"),
+    ]
+    assert numbers(shown.texts[-1]) == [500, 100, 80], "four of five begin alike"
+
+
+def test_repeated_openings_count_idle_frames_and_no_more_than_the_games_and_steps_asked_for(
+    tmp_path,
+):
+    run = store(tmp_path, "boxing_final", DQN, np.full(6, 5.0))
+    openings = [(1, [1, 2, 3]), (9, [4, 4, 4]), (1, [1, 2, 9]), (2, [1, 2, 3]), (1, [1, 2])]
+    games = [
+        ({"kind": "training", "episode": number}, EpisodeRecord(idle, bytes(actions), None))
+        for number, (idle, actions) in enumerate(openings, 1)
+    ]
+    (run.folder / records.FILE).write_bytes(records.encode(games))
+    assert robustness.repeated_openings(run, 5, 2) == 3 / 5
+    assert robustness.repeated_openings(run, 5, 3) == 0
+    assert robustness.repeated_openings(run, 4, 2) == 2 / 4

@@ -19,6 +19,7 @@ from atari_dqn.report.outputs import (
     show_table,
     show_text,
 )
+from atari_dqn.runs import robustness
 
 
 def show_curves(section: Section) -> None:
@@ -334,6 +335,68 @@ def show_variations(section: Section, reference: Section, agent: str) -> None:
         "finished run. Intervals are over games of one run (bootstrap), not over seeds.",
         decimals=1,
     )
+
+
+OPENINGS = (500, 100)  # training games, and agent steps from their start, that are compared
+
+
+def show_robustness(section: Section) -> None:
+    """Finished agents under conditions that they have never met, beside those that they have."""
+    label = f"tbl-{section.slug}-robustness"
+    if section.robustness.empty or section.final_evaluations.empty:
+        show_placeholders(label)
+        return
+    p, rows = section.params, []
+    played = section.final_evaluations
+    played = played[(played.difficulty == p.difficulty) & (played.epsilon == p.evaluation_epsilon)]
+    conditions = {
+        "as trained": played[played.sticky_actions == p.sticky_actions],
+        **{
+            f"sticky actions, {chance:g}": played[played.sticky_actions == chance]
+            for chance in p.evaluation_stickiness
+        },
+        "left and right exchanged": _under(section, robustness.MIRRORED),
+        "the best game's moves, blindly": _under(section, robustness.SEQUENCE),
+    }
+    for agent, seed in played[["agent", "seed"]].drop_duplicates().itertuples(index=False):
+        for name, games in conditions.items():
+            own = games[(games.agent == agent) & (games.seed == seed)]
+            if len(own) > 1:
+                low, high = interval(own.score.to_numpy())
+                rows.append(
+                    {
+                        "agent": params.title(agent),
+                        "seed": seed,
+                        "condition": name,
+                        "games": len(own),
+                        "mean score": own.score.mean(),
+                        "95% interval": f"{low:.1f} to {high:.1f}",
+                    }
+                )
+    table = pd.DataFrame(rows)
+    show_table(
+        table.drop(columns="seed") if table.seed.nunique() == 1 else table,
+        label=label,
+        caption=f"{section.facts.title}, {section.name}: greedy games of finished agents under "
+        "conditions that they were trained for (first) and that they were not. The best "
+        f"evaluation game's moves are made in each of the {p.noop_max} openings. Intervals are "
+        "over games.",
+        decimals=1,
+    )
+    games, steps = OPENINGS
+    said = [
+        f"{params.title(run.agent)} {robustness.repeated_openings(run, games, steps):.0%}"
+        for run in section.usable
+        if run.robustness.exists()
+    ]
+    show_text(
+        f"Of the last {games} training games, those whose first {steps} steps are, action for "
+        f"action, those of another are: {', '.join(said)}."
+    )
+
+
+def _under(section: Section, condition: str) -> pd.DataFrame:
+    return section.robustness[section.robustness.condition == condition]
 
 
 LOWEST = -100.0  # points, the worst that an episode of Boxing can end with
