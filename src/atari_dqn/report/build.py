@@ -65,7 +65,8 @@ def _build(profile: str, folder: Path) -> Path:
         if failures:
             raise RunError("; ".join(failures))
     for run in plan.planned(profile, list(styles.EXPERIMENTS), folder):
-        if run.agent == styles.AGENT and (run.folder / records.FILE).exists():
+        compared = run.agent == styles.AGENT or run.params.experiment == styles.FINAL
+        if compared and (run.folder / records.FILE).exists():
             styles.measure(run)
     for run in plan.planned(profile, list(robustness.EXPERIMENTS), folder):
         robustness.measure(run)

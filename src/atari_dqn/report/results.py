@@ -20,6 +20,7 @@ from atari_dqn.report.outputs import (
     show_text,
 )
 from atari_dqn.runs import robustness
+from atari_dqn.runs.styles import AGENT
 
 
 def show_curves(section: Section) -> None:
@@ -337,6 +338,23 @@ def show_variations(section: Section, reference: Section, agent: str) -> None:
     )
 
 
+def show_learning_style(section: Section) -> None:
+    """How the agents box along their training."""
+    label = f"fig-{section.slug}-style"
+    if section.styles.empty:
+        show_placeholders(label)
+        return
+    show_figure(
+        plots.styles_along(section.styles),
+        label=label,
+        caption=f"How the agents box along their training, in the {VALUE_GAMES} greedy games after "
+        f"every {VALUES_PERIOD} training games: means, of what the console's memory says.",
+        alt="Four panels against training games: distance of the boxers, share of the time within "
+        "reach, punches thrown per minute, and points conceded per minute; a line per agent.",
+        data=f"results/styles/{section.params.experiment}/",
+    )
+
+
 OPENINGS = (500, 100)  # training games, and agent steps from their start, that are compared
 
 
@@ -463,7 +481,12 @@ def _curve(section: Section, agent: str) -> np.ndarray:
 
 def show_playstyle(sections: Sequence[Section], label: str) -> None:
     """How one agent boxes with different discounts: a row per part of the training and run."""
-    measured = [section for section in sections if not section.styles.empty]
+    tables = {
+        section: section.styles[section.styles.agent == AGENT]
+        for section in sections
+        if not section.styles.empty
+    }
+    measured = [section for section, table in tables.items() if not table.empty]
     if len(measured) < 2:
         show_absent(
             label,
@@ -474,7 +497,8 @@ def show_playstyle(sections: Sequence[Section], label: str) -> None:
     rows = []
     for first in range(1, max(section.params.episodes for section in measured), PART):
         for section in sorted(measured, key=lambda section: section.params.gamma):
-            part = section.styles[section.styles.episode.between(first, first + PART - 1)]
+            table = tables[section]
+            part = table[table.episode.between(first, first + PART - 1)]
             if not part.empty:
                 rows.append(
                     {
@@ -485,7 +509,7 @@ def show_playstyle(sections: Sequence[Section], label: str) -> None:
                         "within reach": f"{part.reach.mean():.0%}",
                     }
                 )
-    agent = params.title(measured[0].styles.agent.iloc[0])
+    agent = params.title(AGENT)
     show_table(
         pd.DataFrame(rows),
         label=label,
