@@ -61,10 +61,11 @@ def build(profile: str, results: Path | None = None) -> Path:
 
 def _build(profile: str, folder: Path) -> Path:
     if profile != "full":
-        failures = scheduler.train_all(plan.planned(profile, [], folder))
+        wanted, refused = plan.planned(profile, [], folder)
+        failures = scheduler.train_all(wanted) + refused
         if failures:
             raise RunError("; ".join(failures))
-    for run in plan.planned(profile, list(styles.EXPERIMENTS), folder):
+    for run in plan.planned(profile, list(styles.EXPERIMENTS), folder)[0]:
         if run.agent == styles.AGENT and (run.folder / records.FILE).exists():
             styles.measure(run)
     executed = _execute(profile, folder, _snapshot(folder))
@@ -172,9 +173,10 @@ DARK = (
 
 def _without_runs(profile: str, folder: Path) -> set[str]:
     """The experiments of which no run has begun."""
-    planned = plan.planned(profile, [], folder)
-    begun = {run.params.experiment.partition("+")[0] for run in planned if run.folder.exists()}
-    return {run.params.experiment.partition("+")[0] for run in planned} - begun
+    planned, _ = plan.planned(profile, [], folder)
+    return {run.experiment for run in planned} - {
+        run.experiment for run in planned if run.folder.exists()
+    }
 
 
 NEEDS = "needs:"  # a cell's tag says by this that its text is about the runs of an experiment

@@ -94,9 +94,10 @@ def agents_of(table: pd.DataFrame) -> list[str]:
 def smoothed(episodes: pd.DataFrame, window: int) -> pd.DataFrame:
     """Adds `mean`, the mean score of the last `window` episodes; episodes before the first go.
 
-    `episodes` holds columns episode, score, agent, seed and, of a sweep, variation.
+    `episodes` holds columns episode, score, agent, seed and, of a sweep or of several experiments,
+    variation and experiment.
     """
-    keys = [key for key in ("variation", "agent", "seed") if key in episodes]
+    keys = [key for key in ("experiment", "variation", "agent", "seed") if key in episodes]
     means = episodes.groupby(keys, sort=False).score.transform(trailing_mean, window)
     return episodes.assign(mean=means).dropna(subset="mean")
 
@@ -225,8 +226,8 @@ def references(axes: Axes, facts: GameFacts, labelled: bool, upright: bool = Fal
 
 
 def comparison(episodes: pd.DataFrame, facts: GameFacts, window: int, by: str) -> Figure:
-    """Mean score of the last `window` episodes against episodes, a line for each `by`: agents, or
-    `variation`, settings of one agent in their order."""
+    """Mean score of the last `window` episodes against episodes, a line for each `by`: agents,
+    or settings in their order, by `variation` or by the `label` of `study.comparable`."""
     curves = smoothed(episodes, window)
     figure, axes = plt.subplots(figsize=(WIDTH, 3.4))
     names = list(dict.fromkeys(curves[by]))
