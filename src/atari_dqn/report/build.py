@@ -25,7 +25,7 @@ from filelock import FileLock, Timeout
 from nbconvert import MarkdownExporter
 from tqdm import tqdm
 
-from atari_dqn.report import crossrefs, fingerprint
+from atari_dqn.report import catalogue, crossrefs, fingerprint
 from atari_dqn.report.execution import execute
 from atari_dqn.runs import plan, records, scheduler, styles
 from atari_dqn.runs.files import RunError, project_root, results_folder
@@ -68,7 +68,8 @@ def _build(profile: str, folder: Path) -> Path:
     for run in plan.planned(profile, list(styles.EXPERIMENTS), folder)[0]:
         if run.agent == styles.AGENT and (run.folder / records.FILE).exists():
             styles.measure(run)
-    executed = _execute(profile, folder, _snapshot(folder))
+    snapshot = _snapshot(folder)
+    executed = _execute(profile, folder, snapshot)
     data = project_root() / "notebooks" / "data"
     with tempfile.TemporaryDirectory() as temporary:
         made = Path(temporary)
@@ -85,6 +86,8 @@ def _build(profile: str, folder: Path) -> Path:
         for name in ("index.html", "report.pdf", "names.json"):
             shutil.copyfile(made / name, target / f".{name}")
             (target / f".{name}").replace(target / name)
+    if profile == "full":  # the others' agents are no evidence, and nobody's to take
+        catalogue.write(profile, snapshot, folder)
     return target
 
 
