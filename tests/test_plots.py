@@ -356,3 +356,13 @@ def test_preprocessing_is_drawn_with_the_pictures_of_one_real_step():
     for word in ("maximum", "resize", "stack", "clipped", "Boxing"):
         assert word in written
     plt.close(figure)
+
+
+def test_long_names_of_curves_stay_within_the_figure():
+    table = pd.DataFrame({"episode": range(1, 11), "score": 1.0, "agent": "dqn", "seed": 1})
+    names = [f"learning rate 0.00{number}, batch size 64" for number in range(1, 5)]
+    curves = pd.concat([table.assign(label=name, experiment=name) for name in names])
+    figure = plots.comparison(curves, GAMES["boxing"], 2, "label")
+    figure.draw_without_rendering()
+    right = figure.axes[0].get_legend().get_window_extent().x1
+    assert right <= figure.bbox.x1

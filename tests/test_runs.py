@@ -517,3 +517,19 @@ def test_help_and_refusals_wait_for_no_slow_imports(arguments, slow, said):
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
     assert done.stdout.endswith("slow: set()\n")
     assert said in done.stdout + done.stderr
+
+
+def made(*arguments):
+    """The commands that make would run."""
+    command = ["make", "--dry-run", *arguments]
+    return subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=True).stdout
+
+
+@pytest.mark.parametrize("arguments", [["train", "EXPERIMENT=boxing_final"], ["experiments"]])
+def test_make_begins_runs_again_only_when_told_to(arguments):
+    assert "--restart" not in made(*arguments)
+    assert "--restart" in made(*arguments, "RESTART=1")
+
+
+def test_jupyterlab_starts_as_root_where_one_is_root():
+    assert ("--allow-root" in made("lab")) == (os.getuid() == 0)

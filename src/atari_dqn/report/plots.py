@@ -239,7 +239,9 @@ def comparison(episodes: pd.DataFrame, facts: GameFacts, window: int, by: str) -
         mean = curves[curves[by] == name].groupby("episode")["mean"].mean()
         handles += axes.plot(mean.index, mean, color=look.colour, ls=look.line, lw=1.8)
         named(handles[-1], title, value=title)
-    axes.legend(handles=handles, loc="lower left", bbox_to_anchor=(-0.01, 1), ncols=4)
+    longest = max((len(str(handle.get_label())) for handle in handles), default=0)
+    columns = max(1, min(4, 90 // (longest + 8)))  # about 90 letters go into the figure's width
+    axes.legend(handles=handles, loc="lower left", bbox_to_anchor=(-0.01, 1), ncols=columns)
     axes.set(xlabel="training episodes", ylabel=f"score, mean of {window} episodes")
     return figure
 

@@ -40,7 +40,7 @@ if TYPE_CHECKING:  # it takes half a second to import
 
 COMPLETE, RUNNING, INTERRUPTED, FAILED = "complete", "running", "interrupted", "failed"
 MISSING, STALE = "missing", "stale"
-RESTART = "--restart begins again, and keeps what is stored in a folder beside"
+RESTART = "--restart (make: RESTART=1) begins again, and keeps what is stored in a folder beside"
 
 
 @dataclass(frozen=True)
