@@ -107,9 +107,12 @@ def test_curves_of_experiments_of_the_same_agent_and_seed_are_not_mixed():
 def test_a_stored_experiment_without_a_file_is_known_and_a_copy_kept_aside_is_not(project):
     run = train(project, "small")
     changed = train(project, "small", gamma=0.5)
-    shutil.copytree(run.folder, run.folder.with_name("seed-1.aside-1"))
+    aside = run.folder.with_name("seed-1.aside-1")
+    shutil.copytree(run.folder, aside)
+    (aside / "params.yaml").write_text("of: an older kind")
     (project / "params" / "small.yaml").unlink()
-    (first, second) = plan.known("full", ["small"], None)[0]
+    (first, second), errors = plan.known("full", ["small"], None)
+    assert errors == []
     assert (first.title, first.folder) == ("small", run.folder)
     digest = changed.params.experiment.partition("+")[2]
     assert (second.title, second.folder) == (f"small: +{digest}", changed.folder)
