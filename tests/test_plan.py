@@ -11,8 +11,9 @@ from atari_dqn import __main__, params
 from atari_dqn.analysis.study import comparable, run_table
 from atari_dqn.games import GAMES
 from atari_dqn.params import ParameterError
-from atari_dqn.report import fingerprint, plots
-from atari_dqn.runs import plan, recorder
+from atari_dqn.report import build, fingerprint, plots
+from atari_dqn.runs import plan, recorder, styles
+from atari_dqn.runs.files import RunError
 from atari_dqn.runs.run import Run
 
 SETTINGS = {
@@ -135,7 +136,21 @@ def test_a_bad_file_is_named_in_one_line_and_the_others_are_shown(project, monke
     assert (status, errors) == (0, []), "nobody asked for the bad one"
 
 
-def test_the_report_goes_on_beside_a_bad_file_of_somebodys_own(project, tmp_path):
+def test_the_report_names_a_bad_file_of_somebodys_own_and_goes_on(project, monkeypatch):
+    def sections(*_):
+        raise RunError("the sections are executed")
+
+    bad = write(project, "bad", gamma=2)
+    monkeypatch.setattr(styles, "EXPERIMENTS", ["small"])
+    monkeypatch.setattr(build, "_execute", sections)
+    with (
+        pytest.warns(UserWarning, match=rf"{bad}: gamma: 2 is not allowed.*; left out"),
+        pytest.raises(RunError, match="the sections are executed"),
+    ):
+        build.build("full", project / "results")
+
+
+def test_a_section_with_the_table_of_all_runs_depends_on_changed_ones_too(project, tmp_path):
     write(project, "bad", gamma=2)
     cell = {"cell_type": "code", "source": ["Study(profile)\nplan.stored(profile, [])"]}
     notebook = tmp_path / "01_one.ipynb"

@@ -12,6 +12,7 @@ import shutil
 import struct
 import tempfile
 import tomllib
+import warnings
 from collections.abc import Collection
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import suppress
@@ -65,6 +66,9 @@ def _build(profile: str, folder: Path) -> Path:
         failures = scheduler.train_all(wanted) + refused
         if failures:
             raise RunError("; ".join(failures))
+    else:
+        for line in plan.known(profile, [], folder)[1]:  # of somebody's own, or the sections fail
+            warnings.warn(f"{line}; left out", stacklevel=2)
     for run in plan.planned(profile, list(styles.EXPERIMENTS), folder)[0]:
         if run.agent == styles.AGENT and (run.folder / records.FILE).exists():
             styles.measure(run)
