@@ -70,7 +70,7 @@ def test_text_about_runs_that_have_not_begun_is_left_out_and_an_abstract_is_one(
 def test_an_experiment_has_begun_when_any_of_its_runs_is_stored(tmp_path):
     everything = set(plan.ORDER)
     assert build._without_runs("full", tmp_path) == everything
-    run = next(run for run in plan.planned("full", ["boxing_sensitivity"], tmp_path))
+    run = next(run for run in plan.planned("full", ["boxing_sensitivity"], tmp_path)[0])
     run.folder.mkdir(parents=True)
     assert build._without_runs("full", tmp_path) == everything - {"boxing_sensitivity"}
 
@@ -130,7 +130,7 @@ def built(tmp_path_factory):
     os.environ["ATARI_DQN_STATE"] = str(folder / "state")
     # Trained here, since a process per run takes far longer; `build` trains those that start from
     # others.
-    for run in plan.planned("smoke", [], folder):
+    for run in plan.planned("smoke", [], folder)[0]:
         if run.source() is None:
             recorder.train(run)
     return build.build("smoke", folder)

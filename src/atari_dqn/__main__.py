@@ -7,14 +7,16 @@ import sys
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from atari_dqn import params
+from atari_dqn.games import GAMES
 from atari_dqn.params import ParameterError
-from atari_dqn.runs.files import RunError, results_folder, write_atomically
+from atari_dqn.runs.files import RunError, model_file, results_folder, write_atomically
 
 if TYPE_CHECKING:
     from atari_dqn.runs.run import Run
@@ -85,11 +87,15 @@ def train(
     overrides = params.parse_overrides(set_ or [])
     chosen = params.pick(params.load(params_file, overrides), agent, seed)
 
-    from atari_dqn.runs import recorder
     from atari_dqn.runs.run import runs_of
 
     wanted = runs_of(chosen, results_folder(chosen.profile, results))
     _back_up(wanted if restart else [])
+    for folder in dict.fromkeys(run.folder.parents[1] for run in wanted):
+        print(f"results go to {folder}", file=sys.stderr)  # before imports that take seconds
+
+    from atari_dqn.runs import recorder
+
     with _interruptible():
         for run in wanted:
             print(recorder.train(run))
@@ -119,18 +125,22 @@ def evaluate(
     }
     given = {key: value for key, value in chosen.items() if value is not None}
     _writable(video)
+    print(f"playing with {model_file(run_dir)}", file=sys.stderr)
 
-    from atari_dqn.runs import evaluations
+    from atari_dqn.runs import audit, evaluations
 
     played = evaluations.evaluate(run_dir, given, games)
     if video is not None:
         from atari_dqn.report import videos
 
         videos.write_game(run_dir, given, video)
-    print(
-        f"{len(played)} games: mean score {played.score.mean():.1f}, "
-        f"{played.won.sum()} won, {(played.knockout == 1).sum()} by knock-out"
-    )
+    said = [f"{len(played)} game{'s' * (len(played) > 1)}: mean score {played.score.mean():.1f}"]
+    facts = GAMES[audit.stored_parameters(run_dir).game]
+    if isfinite(facts.wins_at):
+        said.append(f"{played.won.sum()} won")
+    if facts.knockout_cells is not None:
+        said.append(f"{(played.knockout == 1).sum()} by knock-out")
+    print(", ".join(said))
 
 
 def _writable(video: Path | None) -> None:
@@ -155,14 +165,15 @@ def replay(
     parameters = audit.stored_parameters(run_dir)
     record = audit.find(run_dir, episode)
     facts = audit.outcome(parameters, record)
+    print(
+        f"game {episode}: {facts['score']:g} points, {facts['length']:.0f} agent steps, "
+        f"{facts['frames']:.0f} frames",
+        flush=True,
+    )
     if video is not None:
         from atari_dqn.report.video import television
 
         write_atomically(video, television(records.replay(parameters, record)))
-    print(
-        f"game {episode}: {facts['score']:g} points, {facts['length']:.0f} agent steps, "
-        f"{facts['frames']:.0f} frames"
-    )
 
 
 @app.command()
@@ -189,32 +200,45 @@ def verify(
         checked = audit.verify(run_dir, None if everything else episodes or 20)
         bar = tqdm(checked, desc="verifying", unit="game", mininterval=2, leave=False)
         count = sum(1 for _ in bar)
-        print(f"{run_dir}: {count} games played again, all as the tables say")
+        games = f"{count} game{'s' * (count != 1)}"
+        print(f"{run_dir}: {games} played again, all as the tables say")
 
 
 @experiments_app.command()
 def status(names: Names = None, results: Results = None, profile: Profile = "full") -> None:
-    """Show every run: complete, running, interrupted, failed, missing or stale."""
+    """Show every run: complete, running, interrupted, failed, missing or stale.
+
+    Those that no file asks for, such as runs with changed parameters, come last. Exits with 2 if a
+    file cannot be read; what the others hold is shown all the same.
+    """
     import pandas as pd
     from tabulate import tabulate
 
     from atari_dqn.runs import plan
 
-    table = plan.status(plan.planned(profile, names or [], results))
-    shown = pd.DataFrame(
-        {
-            "experiment": table.experiment,
-            "agent": table.agent,
-            "seed": table.seed,
-            "state": table.state,
-            "games": table.games.astype(str) + "/" + table.episodes.astype(str),
-            "score": table.score.round(1),
-            "hours left": table.hours_left.round(1),
-        }
-    )
-    shown = shown.astype(object).where(shown.notna(), None)
-    print(tabulate(shown, headers="keys", showindex=False, missingval="-", disable_numparse=[4]))
-    print(plan.summary(table))
+    runs, refused = plan.known(profile, names or [], results)
+    if runs:
+        table = plan.status(runs)
+        shown = pd.DataFrame(
+            {
+                "experiment": table.experiment,
+                "agent": table.agent,
+                "seed": table.seed,
+                "state": table.state,
+                "games": table.games.astype(str) + "/" + table.episodes.astype(str),
+                "score": table.score.round(1),
+                "hours left": table.hours_left.round(1),
+            }
+        )
+        shown = shown.astype(object).where(shown.notna(), None)
+        print(
+            tabulate(shown, headers="keys", showindex=False, missingval="-", disable_numparse=[4])
+        )
+        print(plan.summary(table))
+    for line in refused:
+        print(f"error: {line}", file=sys.stderr)
+    if refused:
+        raise typer.Exit(2)
 
 
 @experiments_app.command()
@@ -237,7 +261,7 @@ def run(
 
     from atari_dqn.runs import plan
 
-    wanted = plan.planned(profile, names or [], results)
+    wanted, refused = plan.planned(profile, names or [], results)
     _back_up(wanted if restart else [])
     with _interruptible():
         if scheduler is None:
@@ -248,8 +272,8 @@ def run(
             from atari_dqn.runs import cluster
 
             failures = cluster.train_all(wanted, scheduler)
-    if failures:
-        raise RunError("\n".join(failures))
+    if failures + refused:
+        raise RunError("\n".join(failures + refused))
 
 
 @app.command(name="report")

@@ -134,17 +134,6 @@ def play(player: Player, params: Parameters, games: int, seed: int) -> Iterator[
                 episode.start(following, seed)
 
 
-def conditions(params: Parameters) -> list[Parameters]:
-    """What a finished run is evaluated with: as it was trained, then at the difficulties, and then
-    with the sticky actions, that it asks for besides."""
-    changes: list[dict[str, Any]] = [
-        *({"difficulty": switches} for switches in params.evaluation_difficulties),
-        *({"sticky_actions": probability} for probability in params.evaluation_stickiness),
-    ]
-    changed = (params.model_copy(update=change) for change in changes)
-    return [params, *(each for each in changed if each != params)]
-
-
 def q_of(player: Player, planes: np.ndarray) -> np.ndarray:
     """Q-values float32 [N, A] of images uint8 [stack, N, 84*84]."""
     stack, count, pixels = planes.shape

@@ -95,9 +95,10 @@ def agents_of(table: pd.DataFrame) -> list[str]:
 def smoothed(episodes: pd.DataFrame, window: int) -> pd.DataFrame:
     """Adds `mean`, the mean score of the last `window` episodes; episodes before the first go.
 
-    `episodes` holds columns episode, score, agent, seed and, of a sweep, variation.
+    `episodes` holds columns episode, score, agent, seed and, of a sweep or of several experiments,
+    variation and experiment.
     """
-    keys = [key for key in ("variation", "agent", "seed") if key in episodes]
+    keys = [key for key in ("experiment", "variation", "agent", "seed") if key in episodes]
     means = episodes.groupby(keys, sort=False).score.transform(trailing_mean, window)
     return episodes.assign(mean=means).dropna(subset="mean")
 
@@ -244,8 +245,8 @@ def references(axes: Axes, facts: GameFacts, labelled: bool, upright: bool = Fal
 
 
 def comparison(episodes: pd.DataFrame, facts: GameFacts, window: int, by: str) -> Figure:
-    """Mean score of the last `window` episodes against episodes, a line for each `by`: agents, or
-    `variation`, settings of one agent in their order."""
+    """Mean score of the last `window` episodes against episodes, a line for each `by`: agents,
+    or settings in their order, by `variation` or by the `label` of `study.comparable`."""
     curves = smoothed(episodes, window)
     figure, axes = plt.subplots(figsize=(WIDTH, 3.4))
     names = list(dict.fromkeys(curves[by]))
@@ -257,7 +258,9 @@ def comparison(episodes: pd.DataFrame, facts: GameFacts, window: int, by: str) -
         mean = curves[curves[by] == name].groupby("episode")["mean"].mean()
         handles += axes.plot(mean.index, mean, color=look.colour, ls=look.line, lw=1.8)
         named(handles[-1], title, value=title)
-    axes.legend(handles=handles, loc="lower left", bbox_to_anchor=(-0.01, 1), ncols=4)
+    longest = max((len(str(handle.get_label())) for handle in handles), default=0)
+    columns = max(1, min(4, 90 // (longest + 8)))  # about 90 letters go into the figure's width
+    axes.legend(handles=handles, loc="lower left", bbox_to_anchor=(-0.01, 1), ncols=columns)
     axes.set(xlabel="training episodes", ylabel=f"score, mean of {window} episodes")
     return figure
 

@@ -29,10 +29,10 @@ from atari_dqn.evaluation import ValueCheck
 from atari_dqn.native import NativeLearner
 from atari_dqn.params import TRAINING_VERSION
 from atari_dqn.runs import checkpoints, records
-from atari_dqn.runs.evaluations import evaluations_lock, store_evaluation
-from atari_dqn.runs.files import RunError, write_atomically
+from atari_dqn.runs.evaluations import store_evaluation
+from atari_dqn.runs.files import RunError, evaluations_lock, write_atomically
 from atari_dqn.runs.models import initial_weights, load_model, model_bytes
-from atari_dqn.runs.run import COMPLETE, FAILED, INTERRUPTED, RUNNING, STALE, Run
+from atari_dqn.runs.run import COMPLETE, FAILED, INTERRUPTED, RESTART, RUNNING, STALE, Run
 from atari_dqn.runs.value_checks import ValueChecks
 from atari_dqn.training import Episode, Trainer, prepare_process
 
@@ -64,7 +64,7 @@ def train(
         if before == STALE:
             raise RunError(
                 f"{run.folder} holds a run that no longer matches: {'; '.join(run.changes())}; "
-                "--restart keeps it elsewhere and begins again"
+                f"{RESTART}"
             )
         if before == COMPLETE:
             return f"{run.name} is complete: {run.status()['episodes_done']} games"
@@ -182,7 +182,7 @@ class Recorder:
         if games > 0:
             raise RunError(
                 f"{self.run.folder} holds {games} games, but their checkpoint is not in "
-                f"{self.run.state_folder}; --restart keeps them elsewhere and begins again"
+                f"{self.run.state_folder}; {RESTART}"
             )
 
     def _compare_sessions(self) -> None:
@@ -307,7 +307,7 @@ class Recorder:
             )
         path = self.publish()
         player = evaluation.player_of(load_model(path, parameters), parameters)
-        settings, games = evaluation.conditions(parameters), parameters.evaluation_games
+        settings, games = params.conditions(parameters), parameters.evaluation_games
         played = []
         with tqdm(
             total=len(settings) * games, desc="evaluating", leave=False, mininterval=2
