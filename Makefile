@@ -4,6 +4,7 @@ PYTHON ?= $(shell command -v python3.11 || command -v python3)
 PROFILE ?= full
 RESULTS ?=
 SCHEDULER ?=
+TENSORBOARD ?=
 TORCH_INDEX ?=
 
 VENV := .venv
@@ -21,6 +22,7 @@ help: ## list what can be made
 	@echo
 	@echo "  PROFILE=quick       small runs of everything, trained from scratch"
 	@echo "  RESULTS=folder      where results are kept instead of results/"
+	@echo "  TENSORBOARD=1       let TensorBoard follow what make train does"
 	@echo "  SCHEDULER=address   a Dask scheduler to train on (docs/cluster.md)"
 	@echo "  TORCH_INDEX=address the package index to install torch from, such as one of CPU builds"
 
@@ -47,7 +49,7 @@ lab: $(READY) ## explore in JupyterLab
 train: $(READY) ## train an experiment: EXPERIMENT=boxing_final, and AGENT=dqn SEED=1 for one run
 	$(if $(EXPERIMENT),,$(error say which: make train EXPERIMENT=boxing_final AGENT=dqn SEED=1))
 	$(RUN) atari_dqn train $(PARAMS_FILE) $(if $(AGENT),--agent $(AGENT)) \
-	  $(if $(SEED),--seed $(SEED)) $(RESULTS_OPTION)
+	  $(if $(SEED),--seed $(SEED)) $(if $(TENSORBOARD),--tensorboard) $(RESULTS_OPTION)
 
 experiments: $(READY) ## train every run that is missing or interrupted (hours to days)
 	$(RUN) atari_dqn experiments run --profile $(PROFILE) $(RESULTS_OPTION) \

@@ -5,8 +5,9 @@ Each command imports what it needs, since PyTorch and all that draws take second
 
 import sys
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -64,6 +65,18 @@ def _back_up(wanted: "list[Run]") -> None:
             print(f"{run.name} begins again; what was stored of it is kept in {aside}")
 
 
+@contextmanager
+def _followed(run: "Run", tensorboard: bool) -> Iterator[Callable[[], None]]:
+    """What is to be called whenever a run has got on: for TensorBoard, or for nobody."""
+    if not tensorboard:
+        yield lambda: None
+        return
+    from atari_dqn.report.tensorboard import Board
+
+    with closing(Board(run)) as board:
+        yield board.update
+
+
 @app.command()
 def train(
     params_file: Annotated[Path, typer.Argument(help="An experiment's YAML file, see params/.")],
@@ -77,11 +90,18 @@ def train(
         typer.Option("--set", metavar="KEY=VALUE", help="Change a parameter; may be repeated."),
     ] = None,
     restart: Restart = False,
+    tensorboard: Annotated[
+        bool, typer.Option("--tensorboard", help="Let TensorBoard follow: writes RUN/tensorboard/.")
+    ] = False,
 ) -> None:
     """Train the runs of one experiment, or continue them; what is complete stays as it is.
 
     With --set the runs go to a folder of their own, never into the experiment's.
     """
+    if tensorboard and find_spec("tensorboard") is None:
+        raise ParameterError(
+            "--tensorboard: that package is not installed; pip install -e .[tensorboard] adds it"
+        )
     overrides = params.parse_overrides(set_ or [])
     chosen = params.pick(params.load(params_file, overrides), agent, seed)
 
@@ -92,7 +112,8 @@ def train(
     _back_up(wanted if restart else [])
     with _interruptible():
         for run in wanted:
-            print(recorder.train(run))
+            with _followed(run, tensorboard) as follow:
+                print(recorder.train(run, follow=follow))
 
 
 @app.command()
