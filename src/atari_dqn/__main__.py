@@ -116,29 +116,30 @@ def train(
                 print(recorder.train(run, follow=follow))
 
 
+RunFolder = Annotated[Path, typer.Argument(help="A stored run's folder, .../seed-N.")]
+Difficulty = Annotated[
+    int | None, typer.Option(help="Switches: 1 slows the agent, 2 its rival, 3 both.")
+]
+Sticky = Annotated[
+    float | None, typer.Option(help="Probability that the console repeats an action.")
+]
+Epsilon = Annotated[float | None, typer.Option(help="Probability of a random action.")]
+
+
 @app.command()
 def evaluate(
     run_dir: Annotated[Path, typer.Argument(help="A finished run's folder, .../seed-N.")],
     games: Annotated[int | None, typer.Option(min=1, help="By default the run's own.")] = None,
-    difficulty: Annotated[
-        int | None, typer.Option(help="Switches: 1 slows the agent, 2 its rival, 3 both.")
-    ] = None,
-    sticky: Annotated[
-        float | None, typer.Option(help="Probability that the console repeats an action.")
-    ] = None,
-    epsilon: Annotated[float | None, typer.Option(help="Probability of a random action.")] = None,
+    difficulty: Difficulty = None,
+    sticky: Sticky = None,
+    epsilon: Epsilon = None,
     video: Annotated[
         Path | None,
         typer.Option(help="Make a video of the first game, with the values of its actions."),
     ] = None,
 ) -> None:
     """Play whole games with a run's published model and store them in its evaluations.csv."""
-    chosen: dict[str, Any] = {
-        "difficulty": difficulty,
-        "sticky_actions": sticky,
-        "evaluation_epsilon": epsilon,
-    }
-    given = {key: value for key, value in chosen.items() if value is not None}
+    given = _conditions(difficulty, sticky, epsilon)
     _writable(video)
 
     from atari_dqn.runs import evaluations
@@ -154,12 +155,45 @@ def evaluate(
     )
 
 
+def _conditions(
+    difficulty: int | None, sticky: float | None, epsilon: float | None
+) -> dict[str, Any]:
+    """The parameters of a run that the command line changes."""
+    chosen = {
+        "difficulty": difficulty,
+        "sticky_actions": sticky,
+        "evaluation_epsilon": epsilon,
+    }
+    return {key: value for key, value in chosen.items() if value is not None}
+
+
 def _writable(video: Path | None) -> None:
     if video is not None and (video.suffix != ".mp4" or not video.resolve().parent.is_dir()):
         raise ParameterError(f"--video {str(video)!r}: expected FILE.mp4 in a folder that exists")
 
 
-RunFolder = Annotated[Path, typer.Argument(help="A stored run's folder, .../seed-N.")]
+@app.command()
+def watch(
+    run_dir: RunFolder,
+    games: Annotated[int, typer.Option(min=1, help="How many.")] = 1,
+    difficulty: Difficulty = None,
+    sticky: Sticky = None,
+    epsilon: Epsilon = None,
+    video: Annotated[
+        Path | None,
+        typer.Option(help="Make a video of what is played; named after the run without a display."),
+    ] = None,
+) -> None:
+    """Watch a run's published model play, in a window; nothing is stored in its folder.
+
+    The games are the first of those that `evaluate` plays.
+    """
+    given = _conditions(difficulty, sticky, epsilon)
+    _writable(video)
+
+    from atari_dqn.report.watch import watch
+
+    watch(run_dir, given, games, video)
 
 
 @app.command()
