@@ -27,17 +27,23 @@ class Window:
         self.process, self.connection = process, connection
 
     def show(self, order: EpisodeRecord | int) -> bool:
-        """Begins a game, or plays its next action; waits until the order before that is carried
-        out. False if the window has been closed."""
-        try:
-            self.connection.recv()
+        """Begins a game, or plays its next action, once the order before that is carried out.
+        False if the window has been closed; raises RunError if it failed."""
+        if not self.wait():
+            return False
+        with suppress(ConnectionError):  # closed just now, as the next order will find
             self.connection.send(order)
+        return True
+
+    def wait(self) -> bool:
+        """Until the last order is carried out; False if there is no window."""
+        try:
+            return self.connection.recv()
         except (EOFError, ConnectionError):
             self.process.join()
-            if self.process.exitcode:
-                raise RunError(f"the window failed (exit code {self.process.exitcode})") from None
-            return False
-        return True
+        if self.process.exitcode:
+            raise RunError(f"the window failed (exit code {self.process.exitcode})")
+        return False
 
 
 @contextmanager
@@ -47,10 +53,13 @@ def opened(params: Parameters) -> Iterator[Window | None]:
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()
     process = context.Process(target=_show, args=(params, theirs), daemon=True)
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the one that plays
     process.start()
+    signal.signal(signal.SIGINT, before)
     theirs.close()
+    window = Window(process, ours)
     try:
-        yield Window(process, ours) if ours.recv() else None
+        yield window if window.wait() else None
     finally:
         ours.close()  # which ends the process
         process.join()
@@ -58,7 +67,6 @@ def opened(params: Parameters) -> Iterator[Window | None]:
 
 def _show(params: Parameters, connection: Connection) -> None:
     """What the window's process does."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the one that plays
     os.environ.setdefault("SDL_VIDEODRIVER", DRIVERS)
     ale = ALEInterface()
     ale.setFloat("repeat_action_probability", 0.0)
@@ -78,7 +86,7 @@ def _obey(env: AtariEnv, connection: Connection) -> None:
     """Plays what it is told to until the other end of the connection is closed."""
     with suppress(EOFError, ConnectionError):
         while True:
-            connection.send(None)  # ready for the next
+            connection.send(True)  # ready for the next
             order = connection.recv()
             if isinstance(order, EpisodeRecord):
                 env.reset(options={"record": order})
