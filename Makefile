@@ -5,6 +5,7 @@ PROFILE ?= full
 RESULTS ?=
 SCHEDULER ?=
 RESTART ?=
+TENSORBOARD ?=
 TORCH_INDEX ?=
 
 VENV := .venv
@@ -24,6 +25,7 @@ help: ## list what can be made
 	@echo "  RESTART=1           begins runs again that cannot be continued here, and keeps what is stored"
 	@echo "  PROFILE=quick       small runs of everything, trained from scratch"
 	@echo "  RESULTS=folder      where results are kept instead of results/"
+	@echo "  TENSORBOARD=1       let TensorBoard follow what make train does"
 	@echo "  SCHEDULER=address   a Dask scheduler to train on (docs/cluster.md)"
 	@echo "  TORCH_INDEX=address the package index to install torch from, such as one of CPU builds"
 
@@ -51,7 +53,8 @@ lab: $(READY) ## explore in JupyterLab
 train: $(READY) ## train an experiment: EXPERIMENT=boxing_final, and AGENT=dqn SEED=1 for one run
 	$(if $(EXPERIMENT),,$(error say which: make train EXPERIMENT=boxing_final AGENT=dqn SEED=1))
 	$(RUN) atari_dqn train $(PARAMS_FILE) $(if $(AGENT),--agent $(AGENT)) \
-	  $(if $(SEED),--seed $(SEED)) $(RESULTS_OPTION) $(RESTART_OPTION)
+	  $(if $(SEED),--seed $(SEED)) $(if $(TENSORBOARD),--tensorboard) $(RESULTS_OPTION) \
+	  $(RESTART_OPTION)
 
 experiments: $(READY) ## train every run that is missing or interrupted (hours to days)
 	$(RUN) atari_dqn experiments run --profile $(PROFILE) $(RESULTS_OPTION) \

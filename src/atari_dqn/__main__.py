@@ -5,8 +5,9 @@ Each command imports what it needs, since PyTorch and all that draws take second
 
 import sys
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
+from importlib.util import find_spec
 from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -66,6 +67,18 @@ def _back_up(wanted: "list[Run]") -> None:
             print(f"{run.name} begins again; what was stored of it is kept in {aside}")
 
 
+@contextmanager
+def _followed(run: "Run", tensorboard: bool) -> Iterator[Callable[[], None]]:
+    """What is to be called whenever a run has got on: for TensorBoard, or for nobody."""
+    if not tensorboard:
+        yield lambda: None
+        return
+    from atari_dqn.report.tensorboard import Board
+
+    with closing(Board(run)) as board:
+        yield board.update
+
+
 @app.command()
 def train(
     params_file: Annotated[Path, typer.Argument(help="An experiment's YAML file, see params/.")],
@@ -79,11 +92,18 @@ def train(
         typer.Option("--set", metavar="KEY=VALUE", help="Change a parameter; may be repeated."),
     ] = None,
     restart: Restart = False,
+    tensorboard: Annotated[
+        bool, typer.Option("--tensorboard", help="Let TensorBoard follow: writes RUN/tensorboard/.")
+    ] = False,
 ) -> None:
     """Train the runs of one experiment, or continue them; what is complete stays as it is.
 
     With --set the runs go to a folder of their own, never into the experiment's.
     """
+    if tensorboard and find_spec("tensorboard") is None:
+        raise ParameterError(
+            "--tensorboard: that package is not installed; pip install -e .[tensorboard] adds it"
+        )
     overrides = params.parse_overrides(set_ or [])
     chosen = params.pick(params.load(params_file, overrides), agent, seed)
 
@@ -98,32 +118,34 @@ def train(
 
     with _interruptible():
         for run in wanted:
-            print(recorder.train(run))
+            with _followed(run, tensorboard) as follow:
+                print(recorder.train(run, follow=follow))
+
+
+RunFolder = Annotated[Path, typer.Argument(help="A stored run's folder, .../seed-N.")]
+Difficulty = Annotated[
+    int | None, typer.Option(help="Switches: 1 slows the agent, 2 its rival, 3 both.")
+]
+Sticky = Annotated[
+    float | None, typer.Option(help="Probability that the console repeats an action.")
+]
+Epsilon = Annotated[float | None, typer.Option(help="Probability of a random action.")]
 
 
 @app.command()
 def evaluate(
     run_dir: Annotated[Path, typer.Argument(help="A finished run's folder, .../seed-N.")],
     games: Annotated[int | None, typer.Option(min=1, help="By default the run's own.")] = None,
-    difficulty: Annotated[
-        int | None, typer.Option(help="Switches: 1 slows the agent, 2 its rival, 3 both.")
-    ] = None,
-    sticky: Annotated[
-        float | None, typer.Option(help="Probability that the console repeats an action.")
-    ] = None,
-    epsilon: Annotated[float | None, typer.Option(help="Probability of a random action.")] = None,
+    difficulty: Difficulty = None,
+    sticky: Sticky = None,
+    epsilon: Epsilon = None,
     video: Annotated[
         Path | None,
         typer.Option(help="Make a video of the first game, with the values of its actions."),
     ] = None,
 ) -> None:
     """Play whole games with a run's published model and store them in its evaluations.csv."""
-    chosen: dict[str, Any] = {
-        "difficulty": difficulty,
-        "sticky_actions": sticky,
-        "evaluation_epsilon": epsilon,
-    }
-    given = {key: value for key, value in chosen.items() if value is not None}
+    given = _conditions(difficulty, sticky, epsilon)
     _writable(video)
     print(f"playing with {model_file(run_dir)}", file=sys.stderr)
 
@@ -143,12 +165,45 @@ def evaluate(
     print(", ".join(said))
 
 
+def _conditions(
+    difficulty: int | None, sticky: float | None, epsilon: float | None
+) -> dict[str, Any]:
+    """The parameters of a run that the command line changes."""
+    chosen = {
+        "difficulty": difficulty,
+        "sticky_actions": sticky,
+        "evaluation_epsilon": epsilon,
+    }
+    return {key: value for key, value in chosen.items() if value is not None}
+
+
 def _writable(video: Path | None) -> None:
     if video is not None and (video.suffix != ".mp4" or not video.resolve().parent.is_dir()):
         raise ParameterError(f"--video {str(video)!r}: expected FILE.mp4 in a folder that exists")
 
 
-RunFolder = Annotated[Path, typer.Argument(help="A stored run's folder, .../seed-N.")]
+@app.command()
+def watch(
+    run_dir: RunFolder,
+    games: Annotated[int, typer.Option(min=1, help="How many.")] = 1,
+    difficulty: Difficulty = None,
+    sticky: Sticky = None,
+    epsilon: Epsilon = None,
+    video: Annotated[
+        Path | None,
+        typer.Option(help="Make a video of what is played; named after the run without a display."),
+    ] = None,
+) -> None:
+    """Watch a run's published model play, in a window; nothing is stored in its folder.
+
+    The games are the first of those that `evaluate` plays.
+    """
+    given = _conditions(difficulty, sticky, epsilon)
+    _writable(video)
+
+    from atari_dqn.report.watch import watch
+
+    watch(run_dir, given, games, video)
 
 
 @app.command()

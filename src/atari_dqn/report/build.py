@@ -108,7 +108,7 @@ def _snapshot(folder: Path) -> Path:
                 return
         shutil.copyfile(source, target)
 
-    ignored = shutil.ignore_patterns(".*")
+    ignored = shutil.ignore_patterns(".*", "tensorboard")
     for name in ("runs", "styles"):
         (folder / name).mkdir(parents=True, exist_ok=True)
         shutil.copytree(folder / name, snapshot / name, ignore=ignored, copy_function=copy)

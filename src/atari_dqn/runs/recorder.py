@@ -50,12 +50,14 @@ def train(
     position: int = 0,
     asked_to_stop: Callable[[], bool] | None = None,
     patience: float = 1.0,
+    follow: Callable[[], None] = lambda: None,
 ) -> str:
     """Trains a run to its end, resuming it if it was interrupted; returns what happened.
 
     SIGTERM and Ctrl-C (outside the main thread, where no signal arrives: `asked_to_stop`) save a
     checkpoint, leave the run `interrupted` and raise KeyboardInterrupt. `position` is the progress
-    bar's line; `patience` the seconds to wait for a process that is about to let the run go.
+    bar's line; `patience` the seconds to wait for a process that is about to let the run go;
+    `follow` is called when the tables are as of the checkpoint, after every game, and at the end.
     Raises RunError if the stored run does not match.
     """
     prepare_process()
@@ -67,14 +69,16 @@ def train(
                 f"{RESTART}"
             )
         if before == COMPLETE:
+            follow()
             return f"{run.name} is complete: {run.status()['episodes_done']} games"
         recorder = Recorder(run)
         if recorder.episodes:
             tqdm.write(f"{run.name} continues after {recorder.episodes} games")
         try:
-            with _stop_signals() as signalled:
+            with stop_signals() as signalled:
                 stopped = asked_to_stop or signalled
-                _play_and_learn(recorder, stopped, position)
+                follow()
+                _play_and_learn(recorder, stopped, position, follow)
                 recorder.finish(stopped)
         except KeyboardInterrupt:
             recorder.write_provenance()
@@ -86,10 +90,16 @@ def train(
             raise
         finally:
             recorder.close()
+        follow()
         return f"{run.name} is complete: {recorder.episodes} games"
 
 
-def _play_and_learn(recorder: "Recorder", stopped: Callable[[], bool], position: int) -> None:
+def _play_and_learn(
+    recorder: "Recorder",
+    stopped: Callable[[], bool],
+    position: int,
+    follow: Callable[[], None],
+) -> None:
     """Trains until the last game; leaves a checkpoint of the end."""
     run = recorder.run
     if recorder.episodes >= run.params.episodes:
@@ -106,6 +116,7 @@ def _play_and_learn(recorder: "Recorder", stopped: Callable[[], bool], position:
         for episode in recorder.trainer.run():
             if episode is not None:
                 recorder.log(episode)
+                follow()
                 bar.update()
             done = recorder.episodes >= run.params.episodes
             stop = stopped()
@@ -386,7 +397,7 @@ def peak_memory() -> int:
 
 
 @contextmanager
-def _stop_signals() -> Iterator[Callable[[], bool]]:
+def stop_signals() -> Iterator[Callable[[], bool]]:
     """Turns SIGTERM and Ctrl-C into a flag, so that a step is never cut in two."""
     received: list[int] = []
     if threading.current_thread() is not threading.main_thread():

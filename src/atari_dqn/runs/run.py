@@ -14,6 +14,7 @@
         snapshots/          the same after the games that `snapshot_games` names
         status.json         state, episodes_done, episodes
         provenance.json     commit, versions, processor, wall-clock, resumes
+        tensorboard/        what TensorBoard shows of all this, if it was asked for; no result
 
 Checkpoints are working state and live elsewhere (`state_folder`); they hold the logs too, so that
 a run resumes even where its folder was lost.
