@@ -146,7 +146,9 @@ def test_the_list_is_the_same_every_time_and_renews_only_what_changed(tmp_path, 
     run = Run(small(profile="full", episodes=1), tmp_path)
     monkeypatch.setattr(plan, "files", lambda profile: [])
     catalogue.write("full", tmp_path, tmp_path)
-    assert "None yet." in (tmp_path / "README.md").read_text()
+    text = (tmp_path / "README.md").read_text()
+    assert "None yet." in text
+    assert (tmp_path / re.search(r"\]\((.*)#", text)[1]).samefile(ROOT / "README.md")
     recorder.train(run)
     catalogue.write("full", tmp_path, tmp_path)
     before = (tmp_path / "README.md").read_bytes()

@@ -200,6 +200,7 @@ def watch(
     """
     given = _conditions(difficulty, sticky, epsilon)
     _writable(video)
+    print(f"playing with {model_file(run_dir)}", file=sys.stderr)
 
     from atari_dqn.report.watch import watch
 

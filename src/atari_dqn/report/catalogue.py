@@ -1,6 +1,7 @@
 """The list of all stored agents, for people who come for the weights: README.md in the results
 folder, with scores, files, and a video of each agent's newest greedy play."""
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,16 +12,16 @@ from atari_dqn import params
 from atari_dqn.games import GAMES
 from atari_dqn.report.video import television
 from atari_dqn.runs import models, plan, records
-from atari_dqn.runs.files import write_atomically
+from atari_dqn.runs.files import project_root, write_atomically
 from atari_dqn.runs.run import Run, read_table
 
 RECENT = 100  # training episodes that a score is the mean of
-HEAD = f"""# The stored agents
+HEAD = """# The stored agents
 
-Made from the stored runs by `make report`. *Training* is the mean score of the last {RECENT}
+Made from the stored runs by `make report`. *Training* is the mean score of the last {recent}
 training episodes, with exploration; *greedy*, that of the newest greedy episodes, with their number
 and the training episodes before them, and the video shows the first of these. The weights are
-float16, as of the run's last checkpoint; [a few lines of PyTorch](../README.md#weights-for-others)
+float16, as of the run's last checkpoint; [a few lines of PyTorch]({lines}#weights-for-others)
 load them. `replay` shows any other episode of the records.
 
 """
@@ -48,7 +49,8 @@ def write(profile: str, stored: Path, folder: Path) -> None:
             video = _video(run, greedy, folder) if greedy else None
             rows.append(_row(run, greedy) | {"video": _link("mp4", video)})
     table = pd.DataFrame(rows).to_markdown(index=False, disable_numparse=True)
-    text = HEAD + (table if rows else "None yet.") + "\n"
+    lines = Path(os.path.relpath(project_root() / "README.md", folder)).as_posix()
+    text = HEAD.format(recent=RECENT, lines=lines) + (table if rows else "None yet.") + "\n"
     write_atomically(folder / "README.md", text.encode())
 
 
