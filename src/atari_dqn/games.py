@@ -24,6 +24,9 @@ class GameFacts:
     boxers: tuple[tuple[int, int], tuple[int, int]] | None = None  # RAM cells of x and y, in
     # pixels, of the agent and of its rival (Anand et al., 2019)
 
+    clock_cells: tuple[int, int] | None = None  # RAM cells of a clock that runs down: minutes in the
+    # upper half of the first, seconds in the second, as decimal digits
+
     @property
     def title(self) -> str:
         return self.name.replace("_", " ").title()
@@ -51,6 +54,7 @@ GAMES = {
             1,
             knockout_cells=(18, 19),
             boxers=((32, 34), (33, 35)),
+            clock_cells=(16, 17),
         ),
         GameFacts("breakout", 1.7, 30.5, (0, 1), 864, fire_to_serve=True),
         GameFacts("centipede", 2090.9, 12017.0, (0,)),

@@ -32,11 +32,9 @@ def show_curves(section: Section) -> None:
             f"A learning curve, of means of {window} episodes, follows after that many episodes.",
         )
         return
-    published = data("published")
-    points = {"frames": published["frames"], **published.get(section.params.game, {})}
     source = source_points(section)
     figure = plots.learning_curves(
-        section.episodes, facts, window, points if section.default_difficulty else None, source
+        section.episodes, facts, window, published_points(section), source
     )
     caption = [
         f"{facts.title}, `{section.params.experiment}`: raw score while training, with "
@@ -69,6 +67,15 @@ def show_curves(section: Section) -> None:
 def _milestones(section: Section) -> tuple[int, ...]:
     step = section.params.episodes / len(MILESTONES)
     return tuple(dict.fromkeys(round(step * (index + 1)) for index in range(len(MILESTONES))))
+
+
+def published_points(section: Section) -> dict[str, Any] | None:
+    """Scores of agents of the literature by name, and under "frames" where they stand; None of a
+    difficulty that nobody has published."""
+    if not section.default_difficulty:
+        return None
+    published = data("published")
+    return {"frames": published["frames"], **published.get(section.params.game, {})}
 
 
 def source_points(section: Section) -> pd.DataFrame:
