@@ -79,6 +79,11 @@ class EpisodeInProgress:
         self.rng = np.random.default_rng(action_seed)
         self.game, self.rewards, self.distances = game, [], []
 
+    def replay(self, record: EpisodeRecord) -> None:
+        """Begins the recorded game, whose actions are then to be stepped."""
+        self.planes[:] = self.env.reset(options={"record": record})[0].reshape(-1)
+        self.rewards, self.distances = [], []
+
     def step(self, action: int) -> bool:
         """Plays one agent step; true when the game has ended."""
         image, raw, terminated, truncated, info = self.env.step(action)
@@ -102,7 +107,7 @@ class EpisodeInProgress:
             params.evaluation_epsilon,
             seed,
             *env.points(),
-            float(np.mean(self.distances)),
+            float(np.mean(self.distances)) if self.distances else float("nan"),
             env.played(),
         )
 

@@ -44,7 +44,12 @@ def load_model(path: Path, parameters: Parameters) -> nn.Module:
 
 def stored(run: Run) -> dict[int, Path]:
     """{games of training: file} of a run's stored models: snapshots, and the newest."""
-    paths = [*run.folder.glob("snapshots/*.safetensors"), run.folder / "model.safetensors"]
+    return in_folder(run.folder)
+
+
+def in_folder(folder: Path) -> dict[int, Path]:
+    """The same of a stored run's folder."""
+    paths = [*folder.glob("snapshots/*.safetensors"), folder / "model.safetensors"]
     return dict(sorted((trained_games(path), path) for path in paths if path.exists()))
 
 
