@@ -1,8 +1,8 @@
 """Learning on a GPU: the update of `agents.Learner`, recorded once and replayed as a CUDA graph,
 and a replay memory whose images lie on the GPU.
 
-An update is some sixty small kernels. Called one by one from Python they take longer to launch than
-to run; a graph launches them all at once. A batch then travels as the numbers of its slots.
+A batch then travels as the numbers of its slots, and Python launches one graph for an update
+instead of its many small kernels one by one.
 """
 
 from collections.abc import Callable
@@ -19,7 +19,6 @@ from atari_dqn.params import Parameters
 from atari_dqn.replay import PIXELS, Batch, Drawn, ImageCodec, ReplayMemory
 
 WARM_UP = 3  # updates before the recording, as PyTorch's documentation of graphs asks for
-CONVOLUTIONS = torch.contiguous_format  # the faster one for float32 on a GPU
 CHUNK = 4096  # images that are compressed or decompressed at a time
 
 
@@ -104,10 +103,8 @@ class GraphLearner(Learner):
         initial: dict[str, Tensor] | None = None,
     ):
         torch.backends.cudnn.allow_tf32 = False  # it keeps 10 of a product's 23 bits
-        torch.backends.cudnn.benchmark = True  # tries the kernels there are before the recording
+        torch.backends.cudnn.deterministic = True  # slower by a third, but a run can be repeated
         super().__init__(agent, actions, params, seed, initial)
-        for network in (self.online, self.target):
-            network.convolutions.to(memory_format=CONVOLUTIONS)  # type: ignore[call-overload]
         self.acting: _Graph | None = None
         self.learning: _Graph | None = None
 

@@ -136,17 +136,28 @@ class Section:
     def styles(self) -> pd.DataFrame:
         """How the agents box in the checks of greedy play along their training, a row per greedy
         episode: `runs.styles.Style`, agent, seed, and what it counts per minute."""
-        tables = [
-            pd.read_csv(run.styles).assign(agent=run.agent, seed=run.seed)
-            for run in self.usable
-            if run.styles.exists()
-        ]
-        if not tables:
-            return pd.DataFrame()
-        table = pd.concat(tables, ignore_index=True)
+        table = self._beside("styles")
+        if table.empty:
+            return table
         minutes = table.frames / FRAMES_PER_MINUTE
         counted = ("scored", "conceded", "punches")
         return table.assign(**{f"{name}_per_minute": table[name] / minutes for name in counted})
+
+    @cached_property
+    def robustness(self) -> pd.DataFrame:
+        """A row per game of finished agents under conditions that they have never met:
+        `runs.robustness.Trial`, agent, seed."""
+        return self._beside("robustness")
+
+    def _beside(self, name: str) -> pd.DataFrame:
+        """One table of what stands in the runs' files beside their folders."""
+        files = [(run, getattr(run, name)) for run in self.usable]
+        tables = [
+            pd.read_csv(path).assign(agent=run.agent, seed=run.seed)
+            for run, path in files
+            if path.exists()
+        ]
+        return pd.concat(tables, ignore_index=True) if tables else pd.DataFrame()
 
     @property
     def random_play(self) -> pd.DataFrame:

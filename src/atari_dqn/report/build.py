@@ -28,7 +28,7 @@ from tqdm import tqdm
 
 from atari_dqn.report import catalogue, crossrefs, fingerprint
 from atari_dqn.report.execution import execute
-from atari_dqn.runs import plan, records, scheduler, styles
+from atari_dqn.runs import plan, records, robustness, scheduler, styles
 from atari_dqn.runs.files import RunError, project_root, results_folder
 
 STAMP = {"full": "", "quick": "QUICK RUN, NOT EVIDENCE", "smoke": "SMOKE RUN, NOT EVIDENCE"}
@@ -72,6 +72,8 @@ def _build(profile: str, folder: Path) -> Path:
     for run in plan.planned(profile, list(styles.EXPERIMENTS), folder)[0]:
         if run.agent == styles.AGENT and (run.folder / records.FILE).exists():
             styles.measure(run)
+    for run in plan.planned(profile, list(robustness.EXPERIMENTS), folder)[0]:
+        robustness.measure(run)
     snapshot = _snapshot(folder)
     executed = _execute(profile, folder, snapshot)
     data = project_root() / "notebooks" / "data"
@@ -109,7 +111,7 @@ def _snapshot(folder: Path) -> Path:
         shutil.copyfile(source, target)
 
     ignored = shutil.ignore_patterns(".*", "tensorboard")
-    for name in ("runs", "styles"):
+    for name in ("runs", "styles", "robustness"):
         (folder / name).mkdir(parents=True, exist_ok=True)
         shutil.copytree(folder / name, snapshot / name, ignore=ignored, copy_function=copy)
     return snapshot

@@ -72,7 +72,7 @@ def _stored(code: str, profile: str, results: Path) -> Iterator[Path]:
 
 
 def _files(run: Run) -> list[Path]:
-    files = [*run.folder.rglob("[!.]*"), run.styles]
+    files = [*run.folder.rglob("[!.]*"), run.styles, run.robustness]
     return sorted(file for file in files if file.is_file())
 
 

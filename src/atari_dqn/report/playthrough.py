@@ -4,19 +4,24 @@ Moment `t` of a game is what there is to see before its action `t`; the last mom
 where it was left. Pictures are those of the videos (video.py).
 """
 
-from collections.abc import Sequence
+import io
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import cv2
 import numpy as np
+from PIL import Image
 
-from atari_dqn import evaluation
 from atari_dqn.envs import EpisodeRecord
 from atari_dqn.evaluation import EpisodeInProgress
 from atari_dqn.params import Parameters
 from atari_dqn.report.video import Critic, Recording, Stage
 
 UP, DOWN, LEFT, RIGHT, FIRE = "UP", "DOWN", "LEFT", "RIGHT", "FIRE"
+
+SOME = 100  # moments that are judged at once, since a network is faster with several
+Changes = dict[int, dict[str, Any]]  # by moment: what `Playthrough.branch` set there
 
 
 @dataclass(frozen=True)
@@ -32,7 +37,8 @@ class Sight:
 class Playthrough:
     """A game from its record, and what a network makes of every moment of it.
 
-    `known` is a game that begins in the same way, of which what was seen is taken over.
+    `changes` are settings that were changed in the course of it. `known` is a game that begins in
+    the same way, of which what was seen is taken over. `progress` is told the share that is done.
     """
 
     def __init__(
@@ -41,10 +47,13 @@ class Playthrough:
         params: Parameters,
         record: EpisodeRecord,
         title: str,
+        changes: Changes | None = None,
         known: "Playthrough | None" = None,
+        progress: Callable[[float], None] = lambda share: None,
     ):
         self.critic, self.params, self.title = critic, params, title
         self.record, self.ended = replace(record, actions=b""), False  # actions: `actions`
+        self.changes = changes or {}
         self.actions = list(record.actions)
         count = len(self.actions) + 1
         self.sights: list[Sight] = known.sights[:count] if known else []
@@ -56,8 +65,12 @@ class Playthrough:
         for moment in range(count):
             if moment > 0:
                 self.ended = self.episode.step(self.actions[moment - 1])
+            self._change(moment)
             if moment == len(self.sights):
                 self._look()
+            if moment % SOME == 0:
+                self._judge()
+                progress(moment / count)
         self._judge()
 
     @property
@@ -72,8 +85,7 @@ class Playthrough:
 
     def screen(self, moment: int) -> np.ndarray:
         """The television's picture, uint8 [210, 160, 3]."""
-        data = np.frombuffer(self.sights[moment].screen, np.uint8)
-        return cv2.imdecode(data, cv2.IMREAD_COLOR_RGB)
+        return np.asarray(Image.open(io.BytesIO(self.sights[moment].screen)))
 
     def best(self, moment: int) -> int:
         """The action that the network values most."""
@@ -102,19 +114,22 @@ class Playthrough:
         """The same game up to a moment, to be played on: by another network, if one is given, and
         from there with other settings. `clock`: seconds left. Raises ValueError if the game does
         not have such a setting."""
-        record = replace(self.record, actions=bytes(self.actions[:moment]))
-        known = self if critic is None else None
-        title = title or self.title
-        other = Playthrough(critic or self.critic, self.params, record, title, known)
-        env = other.episode.env
-        if difficulty is not None:
-            env.set_difficulty(difficulty)
-        if sticky_actions is not None:
-            env.sticky_actions = sticky_actions
-            env.np_random = np.random.default_rng(moment)
-        if clock is not None:
-            env.set_clock(clock)
-        return other
+        given = {
+            "difficulty": difficulty,
+            "sticky_actions": sticky_actions,
+            "clock": clock,
+        }
+        changes = {at: changed for at, changed in self.changes.items() if at <= moment}
+        new = {name: value for name, value in given.items() if value is not None}
+        changes[moment] = changes.get(moment, {}) | new
+        return Playthrough(
+            critic or self.critic,
+            self.params,
+            replace(self.record, actions=bytes(self.actions[:moment])),
+            title or self.title,
+            changes,
+            self if critic is None else None,
+        )
 
     def recording(self) -> Recording:
         """The game so far, as videos draw it; if it goes on, with the action that the network would
@@ -124,7 +139,7 @@ class Playthrough:
             actions.append(self.best(-1))
             scores.append(scores[-1])
         return Recording(
-            self.params,
+            self.params.model_copy(update={"agents": self.critic.agents}),
             self.episode.result(seed=0),
             self.critic.symbol,
             np.array(actions),
@@ -133,6 +148,17 @@ class Playthrough:
             np.array(scores),
             otherwise="played",
         )
+
+    def _change(self, moment: int) -> None:
+        """Makes the changes of settings at a moment that has been reached."""
+        env, changed = self.episode.env, self.changes.get(moment, {})
+        if "difficulty" in changed:
+            env.set_difficulty(changed["difficulty"])
+        if "sticky_actions" in changed:
+            env.sticky_actions = changed["sticky_actions"]
+            env.np_random = np.random.default_rng(moment)  # the same whenever it is played again
+        if "clock" in changed:
+            env.set_clock(changed["clock"])
 
     def _look(self) -> None:
         env = self.episode.env
@@ -143,8 +169,8 @@ class Playthrough:
 
     def _judge(self) -> None:
         """Lets the network judge the moments that it has not judged yet."""
-        for first in range(len(self.values), len(self.sights), evaluation.BATCH):
-            moments = range(first, min(first + evaluation.BATCH, len(self.sights)))
+        moments = range(len(self.values), len(self.sights))
+        if moments:
             planes = np.stack([self.planes(moment) for moment in moments], axis=1)
             q_values, values = self.critic(planes)
             self.q_values += list(q_values)
@@ -170,15 +196,11 @@ def action_of(pressed: set[str], names: Sequence[str]) -> int:
     it reads of it.
     """
     along, across = {UP, DOWN} & pressed, {LEFT, RIGHT} & pressed
-    held = [
-        part
-        for part in (UP, DOWN, RIGHT, LEFT, FIRE)  # as names of actions have them
-        if part in pressed
-        and not (part in along and len(along) == 2)
-        and not (part in across and len(across) == 2)
-    ]
-    for ignored in (set(), {UP, DOWN}, {FIRE}, {LEFT, RIGHT}, {UP, DOWN, LEFT, RIGHT}):
-        name = "".join(part for part in held if part not in ignored) or "NOOP"
-        if name in names:
-            return names.index(name)
-    return 0
+    pressed = pressed - (along if len(along) == 2 else set())
+    pressed = pressed - (across if len(across) == 2 else set())
+    readable: tuple[Iterable[str], ...] = ((), along, {FIRE}, across, {*along, *across})
+    for ignored in readable:
+        held = [part for part in (UP, DOWN, RIGHT, LEFT, FIRE) if part in pressed - {*ignored}]
+        if "".join(held) in names:  # which name their parts in this order
+            return names.index("".join(held))
+    return names.index("NOOP")

@@ -140,21 +140,22 @@ class Critic:
     """What a network makes of what it sees: the value of every action, and of the state."""
 
     def __init__(self, network: nn.Module, params: Parameters):
+        self.agents = params.agents  # its own is the first
         self.network, self.player = network, player_of(network, params)
-        self.dueling = isinstance(network, DuelingNetwork)
-        self.symbol = "V(s)" if self.dueling else "max Q"
+        self.stream = network.value_output if isinstance(network, DuelingNetwork) else None
+        self.symbol = "V(s)" if self.stream else "max Q"
 
     def __call__(self, planes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Q-values float32 [N, A] of observations (uint8 [stack, N, 84*84]), and the values float32
         [N]: what the value stream of a dueling network says, else the greatest Q-values."""
         q_values = q_of(self.player, planes)
-        if not self.dueling:
+        if self.stream is None:
             return q_values, q_values.max(axis=1)
         said: list[torch.Tensor] = []
         device = next(self.network.parameters()).device
         with (
             torch.no_grad(),
-            self.network.value_output.register_forward_hook(lambda *call: said.append(call[2])),
+            self.stream.register_forward_hook(lambda *call: said.append(call[2])),
         ):
             self.network(torch.from_numpy(interleave(planes)).to(device))
         return q_values, said[0][:, 0].cpu().numpy()

@@ -21,6 +21,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import zstandard
 
 from atari_dqn.envs import AtariEnv, EpisodeRecord, make_env
@@ -164,9 +165,12 @@ def settings(params: Parameters, heading: Heading) -> Parameters:
     return params.model_copy(update=changes)
 
 
-def replay(params: Parameters, record: EpisodeRecord) -> Iterator[AtariEnv]:
-    """The game before its first action, and after each. Raises RecordError if the cartridge has
-    no such action, or if actions are sticky and the record does not say when."""
+def begin(params: Parameters, record: EpisodeRecord) -> tuple[AtariEnv, np.ndarray]:
+    """The game before its first action, and its first image, uint8 [84, 84].
+
+    Raises RecordError if the cartridge has no such action, or if actions are sticky and the record
+    does not say when.
+    """
     game = make_env(params)
     if record.actions and max(record.actions) >= len(game.actions):
         raise RecordError(f"{params.game} has no action {max(record.actions)}")
@@ -175,7 +179,13 @@ def replay(params: Parameters, record: EpisodeRecord) -> Iterator[AtariEnv]:
             f"sticky_actions is {params.sticky_actions}, and the record has "
             f"{'none' if record.rng is None else 'some'} of the chance that they need"
         )
-    game.reset(options={"record": record})
+    image, _ = game.reset(options={"record": record})
+    return game, image
+
+
+def replay(params: Parameters, record: EpisodeRecord) -> Iterator[AtariEnv]:
+    """The game before its first action, and after each. Raises RecordError as `begin` does."""
+    game, _ = begin(params, record)
     yield game
     for action in record.actions:
         game.step(action)

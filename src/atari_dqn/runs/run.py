@@ -85,6 +85,11 @@ class Run:
         return self.results / "styles" / f"{self.name}.csv"
 
     @property
+    def robustness(self) -> Path:
+        """What `robustness.measure` finds, likewise."""
+        return self.results / "robustness" / f"{self.name}.csv"
+
+    @property
     def state_folder(self) -> Path:
         """Where checkpoints live: $ATARI_DQN_STATE, by default within the results folder."""
         root = os.environ.get("ATARI_DQN_STATE") or self.results / "state"

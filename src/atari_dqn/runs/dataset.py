@@ -1,0 +1,114 @@
+"""A run's records as data to learn from offline: every image, action and reward of its games.
+
+Nothing is trained to get them: the emulator plays the games again, some 1,500 agent steps per
+second. The fields of an exported file bear the names that Minari and Gymnasium use.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from atari_dqn.envs import SIZE, EpisodeRecord, learned_reward
+from atari_dqn.params import ParameterError, Parameters
+from atari_dqn.replay import PIXELS, ReplayMemory
+from atari_dqn.runs import records
+from atari_dqn.runs.audit import stored_parameters
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """A whole game of T agent steps."""
+
+    observations: np.ndarray  # uint8 [T+1, 84, 84]: one image each, from before the first action on
+    actions: np.ndarray  # int64 [T], indices among the cartridge's actions
+    rewards: np.ndarray  # float32 [T], raw points
+    life_lost: np.ndarray  # bool [T]
+    terminations: np.ndarray  # bool [T]: the game is over
+    truncations: np.ndarray  # bool [T]: it was cut
+
+
+def trajectory(params: Parameters, record: EpisodeRecord) -> Trajectory:
+    """The recorded game, played again. Raises RecordError as `records.begin` does."""
+    images = np.empty((len(record.actions) + 1, SIZE, SIZE), np.uint8)
+    env, images[0] = records.begin(params, record)
+    steps = []
+    for number, action in enumerate(record.actions, 1):
+        images[number], reward, terminated, truncated, info = env.step(action)
+        steps.append((reward, info["life_lost"], terminated, truncated))
+    rewards, *flags = np.array(steps, float).reshape(-1, 4).T
+    actions = np.frombuffer(record.actions, np.uint8).astype(np.int64)
+    return Trajectory(images, actions, rewards.astype(np.float32), *(each > 0 for each in flags))
+
+
+def trajectories(folder: Path, first: int, last: int) -> Iterator[tuple[int, Trajectory]]:
+    """Training games `first` to `last` of a stored run, each with its number.
+
+    Raises ParameterError if there are none, RecordError if the records cannot be read.
+    """
+    params = stored_parameters(folder)
+    games = [
+        (heading["episode"], record)
+        for heading, record in records.read_file(folder, torn=True)
+        if heading["kind"] == records.TRAINING
+    ]
+    chosen = [game for game in games if first <= game[0] <= last]
+    if not chosen:
+        raise ParameterError(
+            f"{folder} has training games 1 to {len(games)}, none from {first} to {last}"
+        )
+    for episode, record in chosen:
+        yield episode, trajectory(params, record)
+
+
+def rebuilt_memory(folder: Path, games: int, capacity: int, seed: int = 0) -> ReplayMemory:
+    """A replay memory with the newest transitions of a stored run's first `games` training games.
+
+    The transitions are those that the run had in its memory then, but for the games that were
+    still being played; they lie in one stream, game after game.
+    """
+    params = stored_parameters(folder)
+    memory = ReplayMemory(
+        capacity, 1, params.frame_stack, params.gamma, np.random.SeedSequence(seed)
+    )
+    newest = records.read_file(folder, torn=True)
+    lengths = [
+        len(record.actions) + 1
+        for heading, record in newest
+        if heading["kind"] == records.TRAINING and heading["episode"] <= games
+    ]
+    kept = 1 + int(np.searchsorted(np.cumsum(lengths[::-1]), capacity))
+    for _, game in trajectories(folder, max(1, games - kept + 1), games):
+        images = game.observations.reshape(-1, 1, PIXELS)
+        none = np.zeros(1)
+        memory.append(images[0], none, none, none, none)
+        for step, image in enumerate(images[1:]):
+            reward = learned_reward(params, float(game.rewards[step]), bool(game.life_lost[step]))
+            memory.append(
+                image,
+                np.array([step + 1]),
+                game.actions[step : step + 1],
+                np.array([reward]),
+                game.terminations[step : step + 1],
+            )
+    return memory
+
+
+def export(folder: Path, first: int, last: int, path: Path) -> int:
+    """Writes training games `first` to `last` of a stored run to a compressed .npz file, one game
+    after the other; returns their number.
+
+    `episode_starts` are the places of the games' first images among `observations`. Raises as
+    `trajectories` does.
+    """
+    games = [game for _, game in trajectories(folder, first, last)]
+    lengths = [len(game.observations) for game in games]
+    fields: dict[str, Any] = {
+        name: np.concatenate([getattr(game, name) for game in games])
+        for name in Trajectory.__dataclass_fields__
+    }
+    starts = np.cumsum([0, *lengths[:-1]])
+    np.savez_compressed(path, **fields, episode_starts=starts)
+    return len(games)

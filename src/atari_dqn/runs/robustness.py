@@ -1,0 +1,119 @@
+"""Does an agent know its game, or a sequence of moves? Greedy games under conditions that it has
+never met:
+
+    sequence    the moves of its best evaluation game, made blindly in every opening of the game
+    mirrored    left and right exchanged, in what it sees and in what it does
+
+Sticky actions, the third such condition, are a part of every final evaluation.
+"""
+
+import re
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, fields
+from itertools import cycle
+
+import numpy as np
+import pandas as pd
+from tqdm import tqdm
+
+from atari_dqn import evaluation
+from atari_dqn.envs import AtariEnv, EpisodeRecord, make_env
+from atari_dqn.evaluation import Player
+from atari_dqn.params import Parameters
+from atari_dqn.runs import models, records
+from atari_dqn.runs.files import write_atomically
+from atari_dqn.runs.run import COMPLETE, Run
+
+EXPERIMENTS = ("boxing_final", "breakout_final")  # whose agents are put to it
+SEQUENCE, MIRRORED = "sequence", "mirrored"
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One game, a row of a run's file."""
+
+    condition: str
+    game: int  # of "sequence" the opening: its idle frames
+    score: float  # points
+    length: int  # agent steps
+    trained_games: int  # behind the model
+
+
+def measure(run: Run) -> None:
+    """Plays a complete run's model under both conditions and writes the run's file, unless the
+    file is of this model. Raises RunError or RecordError if model or records cannot be read."""
+    model = run.folder / "model.safetensors"
+    if run.state() != COMPLETE:
+        return
+    trained = models.trained_games(model)
+    if run.robustness.exists() and set(pd.read_csv(run.robustness).trained_games) == {trained}:
+        return
+    trials = [*_sequence(run, trained), *_mirrored(run, trained)]
+    columns = [field.name for field in fields(Trial)]
+    table = pd.DataFrame([asdict(trial) for trial in trials], columns=columns)
+    run.robustness.parent.mkdir(parents=True, exist_ok=True)
+    write_atomically(run.robustness, table.to_csv(index=False).encode())
+
+
+def _sequence(run: Run, trained: int) -> Iterator[Trial]:
+    moves = best_game(run, trained).actions
+    openings = range(1, run.params.noop_max + 1)
+    for idle in tqdm(openings, desc=f"blind games of {run.name}", mininterval=2):
+        env, _ = records.begin(run.params, EpisodeRecord(idle, moves, None))
+        play_blindly(env, moves)
+        yield Trial(SEQUENCE, idle, env.score, env.length, trained)
+
+
+def best_game(run: Run, trained: int) -> EpisodeRecord:
+    """The record of the model's evaluation game with the most points, as it was trained; of several
+    the first. Raises RecordError if none is on record."""
+    games = [
+        (heading, record)
+        for heading, record in records.read_file(run.folder)
+        if heading["kind"] == records.EVALUATION
+        and heading["trained_games"] == trained
+        and heading["epsilon"] == run.params.evaluation_epsilon
+        and records.settings(run.params, heading) == run.params
+    ]
+    if not games:
+        raise records.RecordError(f"{run.folder} has no evaluation game of its model on record")
+    table = pd.read_csv(run.folder / "evaluations.csv")
+    table = table[
+        (table.trained_games == trained)
+        & (table.epsilon == run.params.evaluation_epsilon)
+        & (table.difficulty == run.params.difficulty)
+        & (table.sticky_actions == run.params.sticky_actions)
+    ]
+    best = table.sort_values("game").set_index("game").score.idxmax()
+    return next(record for heading, record in games if heading["game"] == best)
+
+
+def play_blindly(env: AtariEnv, moves: bytes) -> None:
+    """Makes the moves one after the other, and from the first again, until the game is over."""
+    for move in cycle(moves):
+        _, _, terminated, truncated, _ = env.step(move)
+        if terminated or truncated:
+            return
+
+
+def _mirrored(run: Run, trained: int) -> Iterator[Trial]:
+    network = models.load_model(run.folder / "model.safetensors", run.params)
+    player = mirrored(evaluation.player_of(network, run.params), run.params)
+    games = run.params.evaluation_games
+    playing = evaluation.play(player, run.params, games, run.seed)
+    for game in tqdm(playing, total=games, desc=f"mirrored games of {run.name}", mininterval=2):
+        yield Trial(MIRRORED, game.game, game.score, game.length, trained)
+
+
+def mirrored(player: Player, params: Parameters) -> Player:
+    """The player in a world where left is right: it sees the mirror image, and its moves are made
+    the other way round."""
+    names = [action.name for action in make_env(params).actions]
+    exchange = {"LEFT": "RIGHT", "RIGHT": "LEFT"}
+    opposite = [re.sub("LEFT|RIGHT", lambda side: exchange[side[0]], name) for name in names]
+    moves = [names.index(name) for name in opposite]
+
+    def play(observations: np.ndarray) -> np.ndarray:
+        return player(np.ascontiguousarray(observations[:, :, ::-1]))[:, moves]
+
+    return play

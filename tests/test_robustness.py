@@ -1,0 +1,104 @@
+"""An agent under conditions that it has never met."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from conftest import SMALL
+
+from atari_dqn.envs import make_env
+from atari_dqn.params import Parameters
+from atari_dqn.runs import models, recorder, records, robustness
+from atari_dqn.runs.run import Run
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("run")
+    run = Run(Parameters(**{**SMALL, "evaluation_games": 3, "noop_max": 4}), folder)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("ATARI_DQN_STATE", str(folder / "state"))
+        recorder.train(run)
+    return run
+
+
+@pytest.fixture(scope="module")
+def measured(run):
+    robustness.measure(run)
+    return pd.read_csv(run.robustness)
+
+
+def test_a_sequence_is_played_in_every_opening_and_in_its_own_is_the_game_it_comes_from(
+    run, measured
+):
+    played = measured[measured.condition == "sequence"].set_index("game")
+    assert played.index.tolist() == [1, 2, 3, 4]
+    games = pd.read_csv(run.folder / "evaluations.csv")
+    best = games.loc[games.score.idxmax()]
+    record = next(
+        record
+        for heading, record in records.read_file(run.folder)
+        if heading["kind"] == "evaluation" and heading["game"] == best.game
+    )
+    own = played.loc[record.idle_frames]
+    assert (own.score, own.length) == (best.score, best.length)
+
+
+def test_mirrored_games_are_as_many_as_evaluation_games(run, measured):
+    played = measured[measured.condition == "mirrored"]
+    assert sorted(played.game) == [0, 1, 2]
+    assert set(measured.trained_games) == {3}
+
+
+def test_what_is_measured_is_measured_again_for_another_model_only(run, measured, monkeypatch):
+    before, real = run.robustness.read_bytes(), robustness.best_game
+    run.robustness.write_bytes(before.replace(b"sequence,1,", b"sequence,1000,"))
+    robustness.measure(run)
+    assert b"sequence,1000," in run.robustness.read_bytes()
+    monkeypatch.setattr(robustness, "best_game", lambda run, _: real(run, 3))
+    monkeypatch.setattr(models, "trained_games", lambda path: 4)
+    robustness.measure(run)
+    assert set(pd.read_csv(run.robustness).trained_games) == {4}
+
+
+def test_a_run_under_way_is_not_measured(run, tmp_path):
+    waiting = Run(run.params, tmp_path)
+    robustness.measure(waiting)
+    assert not waiting.robustness.exists()
+
+
+def test_no_game_of_the_model_on_record_is_an_error(run):
+    with pytest.raises(records.RecordError, match="no evaluation game of its model"):
+        robustness.best_game(run, 2)
+
+
+def test_a_mirrored_player_sees_and_moves_the_other_way_round(small):
+    parameters = small()
+    names = [action.name for action in make_env(parameters).actions]
+
+    def player(observations):
+        """Moves to the darker side of the picture, and punches at any rate."""
+        left, right = (
+            observations[:, :, side].mean(axis=(1, 2, 3)) for side in (slice(42), slice(42, None))
+        )
+        wanted = np.where(left < right, "LEFTFIRE", "RIGHTFIRE")
+        return np.array([[float(name == each) for name in names] for each in wanted])
+
+    def move(player, picture):
+        return names[int(player(picture)[0].argmax())]
+
+    picture = np.zeros((1, 84, 84, 4), np.uint8)
+    picture[:, :, 60:] = 200
+    assert move(player, picture) == "LEFTFIRE"
+    bent = robustness.mirrored(lambda seen: player(seen[:, :, ::-1]), parameters)
+    assert move(bent, picture) == "RIGHTFIRE"  # sees the picture itself, but moves are exchanged
+    assert move(robustness.mirrored(player, parameters), picture) == "LEFTFIRE"
+    twice = robustness.mirrored(robustness.mirrored(player, parameters), parameters)
+    np.testing.assert_array_equal(twice(picture), player(picture))
+
+
+def test_blind_moves_begin_again_when_they_are_used_up(small):
+    env = make_env(small(max_game_frames=60))
+    env.reset(seed=1)
+    robustness.play_blindly(env, bytes([2, 5, 7]))
+    assert env.played().actions[:7] == bytes([2, 5, 7, 2, 5, 7, 2])
+    assert env.frames >= 60
