@@ -48,7 +48,8 @@ numbers: $(READY) ## renew the numbers of figures, tables and sections in the no
 
 # JupyterLab refuses root, which is who one is in many containers.
 lab: $(READY) ## explore in JupyterLab
-	$(VENV)/bin/jupyter lab notebooks $(if $(filter 0,$(shell id -u)),--allow-root)
+	$(VENV)/bin/jupyter lab notebooks/explore.ipynb $(if $(filter 0,$(shell id -u)),--allow-root) \
+	  --FileContentsManager.pre_save_hook=atari_dqn.report.lab.without_outputs
 
 train: $(READY) ## train an experiment: EXPERIMENT=boxing_final, and AGENT=dqn SEED=1 for one run
 	$(if $(EXPERIMENT),,$(error say which: make train EXPERIMENT=boxing_final AGENT=dqn SEED=1))

@@ -455,12 +455,16 @@ def title(agent: str) -> str:
     return " ".join("DQN" if word == "dqn" else word.capitalize() for word in agent.split("_"))
 
 
+def text(params: Parameters) -> str:
+    """Every parameter, resolved, as YAML with its unit beside it."""
+    return "".join(
+        f"{key}: {json.dumps(getattr(params, key))}  # {field.description}\n"
+        for key, field in Parameters.model_fields.items()
+    )
+
+
 def dump(params: Parameters, path: Path) -> None:
-    """Writes every parameter, resolved, with its unit beside it."""
-    lines = []
-    for key, field in Parameters.model_fields.items():
-        value = json.dumps(getattr(params, key))
-        lines.append(f"{key}: {value}  # {field.description}\n")
+    """Writes the `text` of parameters."""
     temporary = path.with_name(f".{path.name}")
-    temporary.write_text("".join(lines), encoding="utf-8")
+    temporary.write_text(text(params), encoding="utf-8")
     temporary.replace(path)  # readers see a whole file

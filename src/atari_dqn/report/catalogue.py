@@ -45,7 +45,7 @@ def write(profile: str, stored: Path, folder: Path) -> None:
     rows = []
     for run in plan.stored(profile, [], stored):
         if (run.folder / "model.safetensors").exists():
-            greedy = _greedy(run)
+            greedy = greedy_play(run)
             video = _video(run, greedy, folder) if greedy else None
             rows.append(_row(run, greedy) | {"video": _link("mp4", video)})
     table = pd.DataFrame(rows).to_markdown(index=False, disable_numparse=True)
@@ -81,7 +81,7 @@ def _link(text: str, path: Path | None) -> str:
     return f"[{text}]({path.as_posix()})" if path else NONE
 
 
-def _greedy(run: Run) -> Greedy | None:
+def greedy_play(run: Run) -> Greedy | None:
     """The evaluation of a finished run, or else the last check along its training, if any."""
     evaluated, p = read_table([run], "evaluations.csv"), run.params
     played_as = {

@@ -244,9 +244,17 @@ def references(axes: Axes, facts: GameFacts, labelled: bool, upright: bool = Fal
         axes.annotate(text, at, **how)
 
 
-def comparison(episodes: pd.DataFrame, facts: GameFacts, window: int, by: str) -> Figure:
+def comparison(
+    episodes: pd.DataFrame,
+    facts: GameFacts,
+    window: int,
+    by: str,
+    source: pd.DataFrame | None = None,
+) -> Figure:
     """Mean score of the last `window` episodes against episodes, a line for each `by`: agents,
-    or settings in their order, by `variation` or by the `label` of `study.comparable`."""
+    or settings in their order, by `variation` or by the `label` of `study.comparable`. `source` are
+    scores of the source report (columns episode and score), drawn a little further than the curves
+    reach."""
     curves = smoothed(episodes, window)
     figure, axes = plt.subplots(figsize=(WIDTH, 3.4))
     names = list(dict.fromkeys(curves[by]))
@@ -258,6 +266,12 @@ def comparison(episodes: pd.DataFrame, facts: GameFacts, window: int, by: str) -
         mean = curves[curves[by] == name].groupby("episode")["mean"].mean()
         handles += axes.plot(mean.index, mean, color=look.colour, ls=look.line, lw=1.8)
         named(handles[-1], title, value=title)
+    if source is not None:
+        near = source[source.episode <= 1.3 * episodes.episode.max()].dropna(subset="score")
+        if len(near):
+            how = {"mfc": "white", "color": INK, "mew": 1.4, "ms": 6, "clip_on": False}
+            handles += axes.plot(near.episode, near.score, "o", **how)
+            named(handles[-1], SOURCE, value=SOURCE)
     longest = max((len(str(handle.get_label())) for handle in handles), default=0)
     columns = max(1, min(4, 90 // (longest + 8)))  # about 90 letters go into the figure's width
     axes.legend(handles=handles, loc="lower left", bbox_to_anchor=(-0.01, 1), ncols=columns)

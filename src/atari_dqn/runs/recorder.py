@@ -47,7 +47,7 @@ LOGS = {
 
 def train(
     run: Run,
-    position: int = 0,
+    position: int | None = 0,
     asked_to_stop: Callable[[], bool] | None = None,
     patience: float = 1.0,
     follow: Callable[[], None] = lambda: None,
@@ -56,8 +56,9 @@ def train(
 
     SIGTERM and Ctrl-C (outside the main thread, where no signal arrives: `asked_to_stop`) save a
     checkpoint, leave the run `interrupted` and raise KeyboardInterrupt. `position` is the progress
-    bar's line; `patience` the seconds to wait for a process that is about to let the run go;
-    `follow` is called when the tables are as of the checkpoint, after every game, and at the end.
+    bar's line, None for no bar; `patience` the seconds to wait for a process that is about to let
+    the run go; `follow` is called when the tables are as of the checkpoint, after every game, and
+    at the end.
     Raises RunError if the stored run does not match.
     """
     prepare_process()
@@ -79,7 +80,7 @@ def train(
                 stopped = asked_to_stop or signalled
                 follow()
                 _play_and_learn(recorder, stopped, position, follow)
-                recorder.finish(stopped)
+                recorder.finish(stopped, position)
         except KeyboardInterrupt:
             recorder.write_provenance()
             recorder.write_status(INTERRUPTED)
@@ -97,7 +98,7 @@ def train(
 def _play_and_learn(
     recorder: "Recorder",
     stopped: Callable[[], bool],
-    position: int,
+    position: int | None,
     follow: Callable[[], None],
 ) -> None:
     """Trains until the last game; leaves a checkpoint of the end."""
@@ -110,6 +111,7 @@ def _play_and_learn(
         desc=run.name,
         unit="game",
         position=position,
+        disable=position is None,
         mininterval=2,
         dynamic_ncols=True,
     ) as bar:
@@ -306,7 +308,7 @@ class Recorder:
         checkpoints.save(self.run.state_folder, state)
         self.saved_at = self.now()
 
-    def finish(self, stopped: Callable[[], bool]) -> None:
+    def finish(self, stopped: Callable[[], bool], position: int | None) -> None:
         """Publishes the model, plays the final evaluation and marks the run complete."""
         folder, parameters = self.run.folder, self.run.params
         if not self.trainer.learner.updates:
@@ -321,7 +323,12 @@ class Recorder:
         settings, games = params.conditions(parameters), parameters.evaluation_games
         played = []
         with tqdm(
-            total=len(settings) * games, desc="evaluating", leave=False, mininterval=2
+            total=len(settings) * games,
+            desc="evaluating",
+            leave=False,
+            position=position,
+            disable=position is None,
+            mininterval=2,
         ) as bar:
             for setting in settings:
                 for game in evaluation.play(player, setting, games, self.run.seed):
