@@ -36,7 +36,7 @@ from atari_dqn.report.playthrough import (
     action_of,
     picture,
 )
-from atari_dqn.report.video import Critic
+from atari_dqn.report.video import Critic, words
 from atari_dqn.runs import audit, models, records
 from atari_dqn.runs.files import RunError
 from atari_dqn.runs.records import EVALUATION, TRAINING, VALUES, RecordError
@@ -55,8 +55,9 @@ KINDS = {
     "evaluation": EVALUATION,
     "new, greedy": NEW,
 }
-UNCHANGED = "as it is"
+UNCHANGED = "unchanged"  # None would be no choice to a drop-down list
 RECORDED_LIKE_NEW = 10_000  # numbers that a new game may have
+SPACED = "2px 16px 2px 2px"
 FASTEST = [cv2.IMWRITE_PNG_COMPRESSION, 1]
 
 Key = tuple[str, str, int]  # experiment, with the hash of what was changed; agent; seed
@@ -112,8 +113,8 @@ def _same(values: list[Any]) -> list[tuple[str, Any]]:
     return [(str(value), value) for value in values]
 
 
-def _dropdown(description: str, width: str = "auto") -> widgets.Dropdown:
-    layout = widgets.Layout(width=width)
+def _dropdown(description: str) -> widgets.Dropdown:
+    layout = widgets.Layout(width="auto", margin=SPACED)
     style = {"description_width": "initial"}
     return widgets.Dropdown(description=description, layout=layout, style=style)
 
@@ -162,11 +163,12 @@ class Explorer:
         self.run = [_dropdown("experiment"), _dropdown("agent"), _dropdown("seed")]
         self.kind, self.checkpoint = _dropdown("game"), _dropdown("network after")
         self.number = widgets.BoundedIntText(
-            *(1, 1, 1), description="number", layout=widgets.Layout(width="10em")
+            *(1, 1, 1), description="number", layout=widgets.Layout(width="9em")
         )
         self.number.style.description_width = "initial"
+        self.count = widgets.Label(layout=widgets.Layout(margin=SPACED))
         self.open = _button("open", "shows the game that is chosen", button_style="primary")
-        self.message = widgets.HTML()
+        self.message = widgets.HTML(layout=widgets.Layout(min_height="1.5em"))
         self.picture = widgets.Image(format="png", layout=widgets.Layout(width="720px"))
         self.player = widgets.Play(interval=67)
         self.moment = widgets.IntSlider(description="step", layout=widgets.Layout(width="560px"))
@@ -181,7 +183,8 @@ class Explorer:
         self.panel = widgets.VBox(
             [
                 row(self.run),
-                row([self.kind, self.number, self.checkpoint, self.open, self.message]),
+                row([self.kind, self.number, self.count, self.checkpoint, self.open]),
+                self.message,
                 self.picture,
                 row([self.player, self.moment]),
                 self.facts,
@@ -232,12 +235,13 @@ class Explorer:
         kinds = [(name, kind) for name, kind in KINDS.items() if self.recorded[kind] or kind == NEW]
         _fill(self.kind, kinds)
         facts = EpisodeInProgress(self.params).env.facts
-        unchanged: list[tuple[str, Any]] = [(UNCHANGED, None)]
+        unchanged: list[tuple[str, Any]] = [(UNCHANGED, UNCHANGED)]
         _fill(self.difficulty, unchanged + _same([*facts.difficulties]))
         _fill(self.sticky, unchanged + _same([0.0, 0.25]))
         left = [(f"{seconds} s left", seconds) for seconds in (10, 30, 60, 120)]
         _fill(self.clock, unchanged + (left if facts.clock_cells else []))
         others = [key for key in self.agents.folders if self._plays_the_same(key)]
+        others.sort(key=lambda key: key == self.key_chosen)  # itself last
         names = [f"{params.title(agent)} ({name}, seed {seed})" for name, agent, seed in others]
         _fill(self.other, list(zip(names, others, strict=True)))
         self.filling = False
@@ -253,7 +257,7 @@ class Explorer:
             recorded = len(self.recorded[self.kind.value])
             self.number.max = recorded or RECORDED_LIKE_NEW
             self.number.value = recorded or 1  # the newest one
-            self.message.value = f"of {self.number.max:,}"
+            self.count.value = f"of {self.number.max:,}"
 
     @contextmanager
     def _busy(self, doing: str) -> Iterator[Callable[[float], None]]:
@@ -270,7 +274,7 @@ class Explorer:
         except (ParameterError, RecordError, RunError, OSError) as error:
             self.message.value = str(error)
         else:
-            self.message.value = f"of {self.number.max:,}"
+            self.message.value = ""
         finally:
             self.open.disabled = self.compare.disabled = False
 
@@ -306,14 +310,13 @@ class Explorer:
 
     def branch(self, critic: Critic | None = None, title: str | None = None) -> Playthrough:
         """The first game up to the step that is shown, with the settings that are chosen."""
-        return self.games[0].branch(
-            self.now,
-            critic,
-            title,
-            difficulty=self.difficulty.value,
-            sticky_actions=self.sticky.value,
-            clock=self.clock.value,
-        )
+        chosen = {
+            "difficulty": self.difficulty.value,
+            "sticky_actions": self.sticky.value,
+            "clock": self.clock.value,
+        }
+        given = {name: value for name, value in chosen.items() if value != UNCHANGED}
+        return self.games[0].branch(self.now, critic, title, given)
 
     @property
     def now(self) -> int:
@@ -405,10 +408,10 @@ class Explorer:
         """A line about what is seen."""
         game, now = self.games[0], self.now
         said = [f"{self.about}: step {now:,} of {game.last:,}"]
-        best = game.names[game.best(now)].lower()
+        best = words(game.names[game.best(now)])
         said.append(f"best action {best} (Q {game.q_values[now].max():.2f})")
         if now < game.last:
-            said.append(f"played {game.names[game.actions[now]].lower()}")
+            said.append(f"played {words(game.names[game.actions[now]])}")
         if places := game.sights[now].places:
             (x, y), (rival_x, rival_y) = places
             apart = ((x - rival_x) ** 2 + (y - rival_y) ** 2) ** 0.5
@@ -456,7 +459,7 @@ class Curves:
         for each in choices:
             each.observe(lambda change: self.draw(), "value")
             if each is not self.window:
-                each.layout.width = "auto"
+                each.layout = widgets.Layout(width="auto", margin=SPACED)
         self.panel = widgets.VBox([widgets.HBox(choices), self.picture])
         self.draw()
 

@@ -106,22 +106,13 @@ class Playthrough:
         moment: int,
         critic: Critic | None = None,
         title: str | None = None,
-        *,
-        difficulty: int | None = None,
-        sticky_actions: float | None = None,
-        clock: int | None = None,
+        settings: dict[str, Any] | None = None,
     ) -> "Playthrough":
         """The same game up to a moment, to be played on: by another network, if one is given, and
-        from there with other settings. `clock`: seconds left. Raises ValueError if the game does
-        not have such a setting."""
-        given = {
-            "difficulty": difficulty,
-            "sticky_actions": sticky_actions,
-            "clock": clock,
-        }
+        from there with other `settings`: difficulty, sticky_actions (a probability), clock (seconds
+        left). Raises ValueError if the game does not have such a setting."""
         changes = {at: changed for at, changed in self.changes.items() if at <= moment}
-        new = {name: value for name, value in given.items() if value is not None}
-        changes[moment] = changes.get(moment, {}) | new
+        changes[moment] = changes.get(moment, {}) | (settings or {})
         return Playthrough(
             critic or self.critic,
             self.params,

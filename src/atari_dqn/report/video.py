@@ -377,7 +377,7 @@ class _Mind:
         self.shares = (game.q_values - means) / full
         _write(view, f"±{full:.2g}", view.shape[1], TOP + SIZE + 34, 16, SOFT, align=1)
         self.random = game.actions != game.q_values.argmax(axis=1)
-        self.names = [_words(action.name) for action in make_env(game.params).actions]
+        self.names = [words(action.name) for action in make_env(game.params).actions]
         self.pitch = min(60, self.bars.shape[0] // len(self.names))
         self.left = 10 + max(_glyphs(name, 17).shape[1] for name in self.names)
         self.reach = (view.shape[1] - self.left) // 2
@@ -421,7 +421,7 @@ class _Mind:
                 _write(self.bars, self.game.otherwise, *at, 17, INK, True, 1)
 
 
-def _words(action: str) -> str:
+def words(action: str) -> str:
     """UPRIGHTFIRE is up right fire."""
     for word in ("UP", "DOWN", "LEFT", "RIGHT"):
         action = action.replace(word, f"{word} ")
