@@ -39,6 +39,7 @@ def train(run: Run) -> None:
     try:
         said = recorder.train(run, position=None, follow=live.update)
     except KeyboardInterrupt:
+        live.update(done=True)
         raise RunError(
             f"interrupted after {len(read_table([run], 'episodes.csv')):,} episodes, which are "
             "saved; this cell goes on when it is run again"
@@ -56,6 +57,7 @@ class Live:
         self.curve = display(Markdown(""), display_id=True)
         self.due = 0.0
         self.first: tuple[float, int] | None = None  # when following began, and the episodes then
+        self.evaluated = -1  # games of the final evaluation, once the last training game has ended
 
     def say(self, text: str) -> None:
         self.line.update(Markdown(text))
@@ -63,6 +65,8 @@ class Live:
     def update(self, done: bool = False) -> None:
         """Draws the run as it is, if it has not just been drawn."""
         began = time.monotonic()
+        if not done and self.run.status()["episodes_done"] >= self.run.params.episodes:
+            self.evaluated += 1
         if began < self.due and not done:
             return
         episodes = read_table([self.run], "episodes.csv")
@@ -83,7 +87,8 @@ class Live:
             mean = episodes.score.tail(window).mean()
             said.append(f"mean score {_number(mean, '.1f')} (last {window})")
         if count >= wanted:
-            said.append("and now the final evaluation")
+            games = len(params.conditions(self.run.params)) * self.run.params.evaluation_games
+            said.append(f"{max(0, self.evaluated)} of {games:,} games of the final evaluation")
             return ", ".join(said)
         since, before = self.first or (now, count)
         if count > before:
@@ -141,11 +146,11 @@ def show_curve(run: Run) -> None:
     """A run's learning curve, beside the stored runs of its experiment, as far as it has come
     itself, and the source report's scores."""
     own = read_table([run], "episodes.csv")
-    window = _window(own)
-    tables = [own.assign(variation="this run")]
+    window, tables = _window(own), []
     for name, rival in _rivals(run).items():
         table = read_table([rival], "episodes.csv")
         tables.append(table[table.episode <= len(own)].assign(variation=name))
+    tables.append(own.assign(variation="this run"))  # the last is the darkest
     table = pd.concat(tables, ignore_index=True)
     facts = GAMES[run.params.game]
     outputs.show_figure(

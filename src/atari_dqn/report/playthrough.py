@@ -5,7 +5,7 @@ where it was left. Pictures are those of the videos (video.py).
 """
 
 import io
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -183,15 +183,14 @@ def picture(games: Sequence[Playthrough], moment: int) -> np.ndarray:
 def action_of(pressed: set[str], names: Sequence[str]) -> int:
     """The action of a joystick that is held so: `pressed` has UP, DOWN, LEFT, RIGHT and FIRE.
 
-    Opposites cancel. A cartridge that does not read all of it (`names` are its actions) gets what
-    it reads of it.
+    Opposites cancel. A cartridge that does not read all of it (`names` are its actions) gets as
+    much as it reads, and steps to the side rather than anything else.
     """
-    along, across = {UP, DOWN} & pressed, {LEFT, RIGHT} & pressed
-    pressed = pressed - (along if len(along) == 2 else set())
-    pressed = pressed - (across if len(across) == 2 else set())
-    readable: tuple[Iterable[str], ...] = ((), along, {FIRE}, across, {*along, *across})
-    for ignored in readable:
-        held = [part for part in (UP, DOWN, RIGHT, LEFT, FIRE) if part in pressed - {*ignored}]
-        if "".join(held) in names:  # which name their parts in this order
-            return names.index("".join(held))
-    return names.index("NOOP")
+    opposites = [pair for pair in ({UP, DOWN}, {LEFT, RIGHT}) if pair <= pressed]
+    held = pressed.difference(*opposites)
+
+    def fit(action: int) -> tuple[bool, int, bool]:
+        parts = {part for part in (UP, DOWN, LEFT, RIGHT, FIRE) if part in names[action]}
+        return parts <= held, len(parts), not parts.isdisjoint({LEFT, RIGHT})
+
+    return max(range(len(names)), key=fit)

@@ -275,7 +275,8 @@ def comparison(
     longest = max((len(str(handle.get_label())) for handle in handles), default=0)
     columns = max(1, min(4, 90 // (longest + 8)))  # about 90 letters go into the figure's width
     axes.legend(handles=handles, loc="lower left", bbox_to_anchor=(-0.01, 1), ncols=columns)
-    axes.set(xlabel="training episodes", ylabel=f"score, mean of {window} episodes")
+    averaged = f"score, mean of {window} episodes" if window > 1 else "score"
+    axes.set(xlabel="training episodes", ylabel=averaged)
     return figure
 
 

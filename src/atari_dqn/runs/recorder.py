@@ -57,8 +57,8 @@ def train(
     SIGTERM and Ctrl-C (outside the main thread, where no signal arrives: `asked_to_stop`) save a
     checkpoint, leave the run `interrupted` and raise KeyboardInterrupt. `position` is the progress
     bar's line, None for no bar; `patience` the seconds to wait for a process that is about to let
-    the run go; `follow` is called when the tables are as of the checkpoint, after every game, and
-    at the end.
+    the run go; `follow` is called when the tables are as of the checkpoint, after every game, those
+    of the final evaluation too, and at the end.
     Raises RunError if the stored run does not match.
     """
     prepare_process()
@@ -80,7 +80,7 @@ def train(
                 stopped = asked_to_stop or signalled
                 follow()
                 _play_and_learn(recorder, stopped, position, follow)
-                recorder.finish(stopped, position)
+                recorder.finish(stopped, position, follow)
         except KeyboardInterrupt:
             recorder.write_provenance()
             recorder.write_status(INTERRUPTED)
@@ -308,7 +308,9 @@ class Recorder:
         checkpoints.save(self.run.state_folder, state)
         self.saved_at = self.now()
 
-    def finish(self, stopped: Callable[[], bool], position: int | None) -> None:
+    def finish(
+        self, stopped: Callable[[], bool], position: int | None, follow: Callable[[], None]
+    ) -> None:
         """Publishes the model, plays the final evaluation and marks the run complete."""
         folder, parameters = self.run.folder, self.run.params
         if not self.trainer.learner.updates:
@@ -334,6 +336,7 @@ class Recorder:
                 for game in evaluation.play(player, setting, games, self.run.seed):
                     played.append(game)
                     bar.update()
+                    follow()
                     if stopped():
                         raise KeyboardInterrupt
         store_evaluation(folder, played, self.episodes)
