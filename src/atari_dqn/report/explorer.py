@@ -140,11 +140,11 @@ class Explorer:
         self.tapped: set[str] = set()  # keys pressed since the last step, perhaps let go since
         self.filling = False
         self._build()
+        self._connect()
         self._offer(0)
         for level, choice in enumerate(first):
             if choice in [value for _, value in self.run[level].options]:
                 self.run[level].value = choice
-        self._connect()
         self.show_game()
 
     def show(self, with_widgets: bool) -> None:
