@@ -21,6 +21,7 @@ from atari_dqn.runs.run import Run, read_table
 
 SECONDS = 5.0  # between two drawings of a run that trains, at least
 SHARE = 0.02  # of the time that drawing may take, at most
+OWN = "this run"
 RECENT = 100  # episodes that scores are the mean of, where there are so many
 
 
@@ -146,15 +147,14 @@ def show_curve(run: Run) -> None:
     """A run's learning curve, beside the stored runs of its experiment, as far as it has come
     itself, and the source report's scores."""
     own = read_table([run], "episodes.csv")
-    window, tables = _window(own), []
+    window, tables = _window(own), [own.assign(variation=OWN)]
     for name, rival in _rivals(run).items():
         table = read_table([rival], "episodes.csv")
         tables.append(table[table.episode <= len(own)].assign(variation=name))
-    tables.append(own.assign(variation="this run"))  # the last is the darkest
     table = pd.concat(tables, ignore_index=True)
     facts = GAMES[run.params.game]
     outputs.show_figure(
-        plots.comparison(table, facts, window, "variation", _source(run)),
+        plots.comparison(table, facts, window, "variation", _source(run), OWN),
         label="fig-curve",
         caption=f"{run.name}, beside the stored runs of its experiment: raw score while training, "
         f"with exploration{f', mean of the last {window} episodes' if window > 1 else ''}.",
@@ -164,7 +164,7 @@ def show_curve(run: Run) -> None:
 
 def show_scores(run: Run) -> None:
     """What a run scores in the end, and what others do."""
-    rows = [_row(name, each) for name, each in {"this run": run, **_rivals(run)}.items()]
+    rows = [_row(name, each) for name, each in {OWN: run, **_rivals(run)}.items()]
     source = _source(run)
     if len(source):
         last = source.iloc[-1]

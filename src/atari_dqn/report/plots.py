@@ -250,11 +250,12 @@ def comparison(
     window: int,
     by: str,
     source: pd.DataFrame | None = None,
+    main: str | None = None,
 ) -> Figure:
     """Mean score of the last `window` episodes against episodes, a line for each `by`: agents,
     or settings in their order, by `variation` or by the `label` of `study.comparable`. `source` are
     scores of the source report (columns episode and score), drawn a little further than the curves
-    reach."""
+    reach; `main` is the line that the others are there to be compared with."""
     curves = smoothed(episodes, window)
     figure, axes = plt.subplots(figsize=(WIDTH, 3.4))
     names = list(dict.fromkeys(curves[by]))
@@ -264,7 +265,10 @@ def comparison(
     for name in names:
         look, title = (STYLES[name], params.title(name)) if by == "agent" else (looks[name], name)
         mean = curves[curves[by] == name].groupby("episode")["mean"].mean()
-        handles += axes.plot(mean.index, mean, color=look.colour, ls=look.line, lw=1.8)
+        if name == main:
+            look = Style(INK, "-")
+        width = 2.6 if name == main else 1.8
+        handles += axes.plot(mean.index, mean, color=look.colour, ls=look.line, lw=width)
         named(handles[-1], title, value=title)
     if source is not None:
         near = source[source.episode <= 1.3 * episodes.episode.max()].dropna(subset="score")
