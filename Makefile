@@ -4,6 +4,8 @@ PYTHON ?= $(shell command -v python3.11 || command -v python3)
 PROFILE ?= full
 RESULTS ?=
 SCHEDULER ?=
+RESTART ?=
+TENSORBOARD ?=
 TORCH_INDEX ?=
 
 VENV := .venv
@@ -11,6 +13,7 @@ RUN := $(VENV)/bin/python -m
 READY := $(VENV)/ready
 TORCH := $(shell sed -n 's/^ *"\(torch==[^"]*\)".*/\1/p' pyproject.toml)
 RESULTS_OPTION := $(if $(RESULTS),--results $(RESULTS))
+RESTART_OPTION := $(if $(RESTART),--restart)
 PARAMS_FILE = params/$(if $(filter-out full,$(PROFILE)),$(PROFILE)/)$(EXPERIMENT).yaml
 
 .DEFAULT_GOAL := help
@@ -19,8 +22,10 @@ PARAMS_FILE = params/$(if $(filter-out full,$(PROFILE)),$(PROFILE)/)$(EXPERIMENT
 help: ## list what can be made
 	@sed -n 's/^\([a-z]*\):[^#]*## \(.*\)/  make \1|\2/p' $(MAKEFILE_LIST) | awk -F'|' '{printf "%-19s %s\n", $$1, $$2}'
 	@echo
+	@echo "  RESTART=1           begins runs again that cannot be continued here, and keeps what is stored"
 	@echo "  PROFILE=quick       small runs of everything, trained from scratch"
 	@echo "  RESULTS=folder      where results are kept instead of results/"
+	@echo "  TENSORBOARD=1       let TensorBoard follow what make train does"
 	@echo "  SCHEDULER=address   a Dask scheduler to train on (docs/cluster.md)"
 	@echo "  TORCH_INDEX=address the package index to install torch from, such as one of CPU builds"
 
@@ -41,17 +46,20 @@ report: $(READY) ## build results/report/index.html and report.pdf from the stor
 numbers: $(READY) ## renew the numbers of figures, tables and sections in the notebooks' text
 	$(RUN) atari_dqn.report.crossrefs
 
+# JupyterLab refuses root, which is who one is in many containers.
 lab: $(READY) ## explore in JupyterLab
-	$(VENV)/bin/jupyter lab notebooks
+	$(VENV)/bin/jupyter lab notebooks/explore.ipynb $(if $(filter 0,$(shell id -u)),--allow-root) \
+	  --FileContentsManager.pre_save_hook=atari_dqn.report.lab.without_outputs
 
 train: $(READY) ## train an experiment: EXPERIMENT=boxing_final, and AGENT=dqn SEED=1 for one run
 	$(if $(EXPERIMENT),,$(error say which: make train EXPERIMENT=boxing_final AGENT=dqn SEED=1))
 	$(RUN) atari_dqn train $(PARAMS_FILE) $(if $(AGENT),--agent $(AGENT)) \
-	  $(if $(SEED),--seed $(SEED)) $(RESULTS_OPTION)
+	  $(if $(SEED),--seed $(SEED)) $(if $(TENSORBOARD),--tensorboard) $(RESULTS_OPTION) \
+	  $(RESTART_OPTION)
 
 experiments: $(READY) ## train every run that is missing or interrupted (hours to days)
 	$(RUN) atari_dqn experiments run --profile $(PROFILE) $(RESULTS_OPTION) \
-	  $(if $(SCHEDULER),--scheduler $(SCHEDULER))
+	  $(if $(SCHEDULER),--scheduler $(SCHEDULER)) $(RESTART_OPTION)
 
 status: $(READY) ## show every run of every experiment
 	$(RUN) atari_dqn experiments status --profile $(PROFILE) $(RESULTS_OPTION)

@@ -41,10 +41,7 @@ class Browser:
 
     def open(self, path: Path, width: int = 1280, dark: bool = False, motion: bool = True) -> None:
         """Shows a page in a window 800 pixels high, as a phone where it is narrow."""
-        self.command(
-            "Emulation.setDeviceMetricsOverride",
-            **{"width": width, "height": 800, "deviceScaleFactor": 1, "mobile": width < 600},
-        )
+        self.resize(width, 800)
         wishes = {
             "prefers-color-scheme": "dark" if dark else "light",
             "prefers-reduced-motion": "no-preference" if motion else "reduce",
@@ -54,6 +51,12 @@ class Browser:
         self.command("Page.navigate", url=path.as_uri())
         self.wait("document.readyState === 'complete' && location.protocol === 'file:'")
         self.move(0, 0)
+
+    def resize(self, width: int, height: int) -> None:
+        self.command(
+            "Emulation.setDeviceMetricsOverride",
+            **{"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 600},
+        )
 
     def __call__(self, script: str) -> Any:
         """The value of an expression, or of the promise that it is."""

@@ -53,7 +53,7 @@ def test_every_stored_run_has_a_row_with_its_state_games_steps_hours_and_origin(
     sessions = [stretch, stretch, {"processor": "fast", "commit": "b" * 40 + "+"}]
     store(tmp_path, "boxing_final", DOUBLE, np.zeros(3000), sessions=sessions, resumes=2)
     run = store(tmp_path, "boxing_sensitivity", DUELING, np.zeros(150), variation="raw rewards")
-    first, second = analysis.run_table(study(tmp_path)).to_dict("records")
+    first, second = analysis.run_table(study(tmp_path).runs).to_dict("records")
     assert first["hours"] == pytest.approx(30.0)
     assert second["hours"] == pytest.approx(1.5)
     said = ("experiment", "agent", "seed", "state", "games", "agent steps", "resumes", "processor")

@@ -7,6 +7,7 @@ import pytest
 from matplotlib import pyplot as plt
 from synthetic import AGENTS, TITLES, check, evaluate, lines_of, named_lines, numbers, store, study
 
+from atari_dqn import games
 from atari_dqn.analysis.study import Section
 from atari_dqn.report import plots, results
 
@@ -359,3 +360,15 @@ def test_preprocessing_is_drawn_with_the_pictures_of_one_real_step():
     for word in ("maximum", "resize", "stack", "clipped", "Boxing"):
         assert word in written
     plt.close(figure)
+
+
+def test_long_names_of_curves_stay_within_the_figure():
+    table = pd.DataFrame({"episode": range(1, 11), "score": 1.0, "agent": "dqn", "seed": 1})
+    names = [f"learning rate 0.00{number}, batch size 64" for number in range(1, 5)]
+    curves = pd.concat([table.assign(label=name, experiment=name) for name in names])
+    with plt.rc_context():
+        plots.style()
+        figure = plots.comparison(curves, games.GAMES["boxing"], 2, "label")
+        figure.draw_without_rendering()
+    right = figure.axes[0].get_legend().get_window_extent().x1
+    assert right <= figure.bbox.x1

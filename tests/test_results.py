@@ -172,7 +172,7 @@ def test_any_game_of_the_emulator_goes_from_its_file_to_a_curve(tmp_path, monkey
     params.dump(pong, tmp_path / "params" / "pong.yaml")
     shutil.copytree(project_root() / "notebooks" / "data", tmp_path / "notebooks" / "data")
     monkeypatch.chdir(tmp_path)
-    (run,) = plan.planned("full", ["pong"], None)
+    (run,), _ = plan.planned("full", ["pong"], None)
     recorder.train(run)
     figures = {}
     monkeypatch.setattr(

@@ -491,14 +491,45 @@ def test_a_transfer_run_starts_from_the_finished_model_it_names(tmp_path, small)
 
 
 @pytest.mark.parametrize(
-    "arguments", [["--help"], ["train", "params/boxing_final.yaml", "--set", "gama=0.9"]]
+    ("arguments", "slow", "said"),
+    [
+        (["--help"], {"torch", "pandas", "cv2"}, "Usage"),
+        (
+            ["train", "params/boxing_final.yaml", "--set", "gama=0.9"],
+            {"torch", "pandas", "cv2"},
+            "'gamma'",
+        ),
+        (["evaluate", "params"], {"torch", "pandas", "cv2"}, "no model.safetensors here"),
+        (
+            ["replay", "params", "--episode", "1"],
+            {"torch", "pandas"},
+            "params/params.yaml: no such",
+        ),
+        (["verify", "params"], {"torch", "pandas"}, "params/params.yaml: no such file"),
+    ],
 )
-def test_help_and_refusals_wait_for_no_slow_imports(arguments):
+def test_help_and_refusals_wait_for_no_slow_imports(arguments, slow, said):
     code = (
         "import atexit, sys; from atari_dqn.__main__ import main\n"
-        "atexit.register(lambda: print('slow:', sys.modules.keys() & {'torch', 'pandas', 'cv2'}))\n"
+        f"atexit.register(lambda: print('slow:', sys.modules.keys() & {slow}))\n"
         f"sys.argv[1:] = {arguments}; main()"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
     assert done.stdout.endswith("slow: set()\n")
-    assert ("Usage" in done.stdout) if arguments == ["--help"] else ("'gamma'" in done.stderr)
+    assert said in done.stdout + done.stderr
+
+
+def made(*arguments):
+    """The commands that make would run."""
+    command = ["make", "--dry-run", *arguments]
+    return subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=True).stdout
+
+
+@pytest.mark.parametrize("arguments", [["train", "EXPERIMENT=boxing_final"], ["experiments"]])
+def test_make_begins_runs_again_only_when_told_to(arguments):
+    assert "--restart" not in made(*arguments)
+    assert "--restart" in made(*arguments, "RESTART=1")
+
+
+def test_jupyterlab_starts_as_root_where_one_is_root():
+    assert ("--allow-root" in made("lab")) == (os.getuid() == 0)

@@ -38,7 +38,9 @@ def test_status_tells_what_is_done_what_waits_and_how_long_it_will_take(tmp_path
     wanted = [Run(small(seeds=[seed]), tmp_path) for seed in (1, 2)] + [Run(transfer, tmp_path)]
     assert states(wanted) == ["missing", "missing", "waiting for small"]
     assert "0 of 7 games (0%)" in plan.summary(plan.status(wanted))
-    assert "3 runs whose pace is not known yet" in plan.summary(plan.status(wanted))
+    assert plan.summary(plan.status(wanted)).endswith(
+        "how long it takes shows when the first games have been played"
+    )
     recorder.train(wanted[0])
     table = plan.status(wanted)
     assert table.state.tolist() == ["complete", "missing", "missing"]
@@ -49,7 +51,13 @@ def test_status_tells_what_is_done_what_waits_and_how_long_it_will_take(tmp_path
     assert table.hours_left[0] == 0
     assert table.hours_left[1] == pytest.approx(3 * pace / 3600), "of another run of the game"
     assert pd.isna(table.hours_left[2]), "no other run of Breakout"
-    assert plan.summary(table).startswith("3 runs: 2 missing, 1 complete; 3 of 7 games")
+    said = plan.summary(table)
+    assert said.startswith("3 runs: 2 missing, 1 complete; 3 of 7 games (43%); about 0.0 core-h")
+    assert said.endswith("left, and 1 other run whose pace is not known yet")
+    assert plan.summary(table[:1]).endswith(
+        "1 run: 1 complete; 3 of 3 games (100%); nothing left to train"
+    )
+    assert plan.summary(table[:2]).endswith("core-hours left")
 
 
 def test_status_tells_why_a_run_does_not_go_on(tmp_path, small, monkeypatch):
@@ -97,7 +105,7 @@ def test_a_transfer_whose_source_has_changed_is_stale(tmp_path, small, transfer)
 
 def test_runs_are_trained_in_the_order_in_which_they_are_named():
     named = ["breakout_late", "boxing_final"]
-    found = [run.params.experiment for run in plan.planned("full", named, None)]
+    found = [run.params.experiment for run in plan.planned("full", named, None)[0]]
     assert list(dict.fromkeys(found)) == named
 
 
@@ -148,10 +156,12 @@ def test_an_unknown_experiment_to_start_from_is_refused_before_anything_is_train
 ):
     params.dump(transfer, tmp_path / "transfer.yaml")
     monkeypatch.setattr(plan, "files", lambda profile: [tmp_path / "transfer.yaml"])
-    with pytest.raises(ParameterError, match=r"transfer: initial_weights: 'small' is not"):
-        plan.planned("smoke", [], tmp_path)
+    with pytest.raises(ParameterError, match=r"transfer.yaml: initial_weights: 'small' is not"):
+        plan.planned("smoke", ["transfer"], tmp_path)
+    runs, (line,) = plan.planned("smoke", [], tmp_path)
+    assert (runs, "no such run is stored" in line) == ([], True)
     (tmp_path / "runs" / "small").mkdir(parents=True)  # stored, though no file asks for it
-    assert len(plan.planned("smoke", [], tmp_path)) == 1
+    assert len(plan.planned("smoke", [], tmp_path)[0]) == 1
 
 
 def test_a_model_to_start_from_that_cannot_be_read_is_named(tmp_path, small, transfer):

@@ -116,7 +116,7 @@ def test_the_value_stream_is_the_mean_of_the_q_values(small):
     """The dueling network's advantages have mean 0; the others' value is the greatest Q."""
     for agent, reduce in (("dueling_double_dqn", np.mean), ("double_dqn", np.max)):
         params = small(agents=[agent], evaluation_epsilon=0.5)
-        recording = module._record(untrained(params), params, seed=1, game=0)
+        recording = module.record(untrained(params), params, seed=1, game=0)
         expected = reduce(recording.q_values, axis=1)
         np.testing.assert_allclose(recording.values, expected, atol=1e-6)
         assert recording.values.std() > 1e-5, "the test would not see a wrong order"
@@ -140,7 +140,7 @@ def test_an_agent_has_the_colour_on_video_that_it_has_in_the_figures(small):
 
 def test_one_agent_at_two_stages_is_drawn_in_two_shades_and_two_agents_in_their_own_colours(small):
     recordings = {
-        agent: module._record(untrained(params), params, 1, 0)
+        agent: module.record(untrained(params), params, 1, 0)
         for agent in ("dqn", "double_dqn")
         for params in [small(agents=[agent], max_game_frames=40)]
     }

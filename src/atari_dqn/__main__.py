@@ -5,16 +5,19 @@ Each command imports what it needs, since PyTorch and all that draws take second
 
 import sys
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
+from importlib.util import find_spec
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from atari_dqn import params
+from atari_dqn.games import GAMES
 from atari_dqn.params import ParameterError
-from atari_dqn.runs.files import RunError, results_folder, write_atomically
+from atari_dqn.runs.files import RunError, model_file, results_folder, write_atomically
 
 if TYPE_CHECKING:
     from atari_dqn.runs.run import Run
@@ -64,6 +67,18 @@ def _back_up(wanted: "list[Run]") -> None:
             print(f"{run.name} begins again; what was stored of it is kept in {aside}")
 
 
+@contextmanager
+def _followed(run: "Run", tensorboard: bool) -> Iterator[Callable[[], None]]:
+    """What is to be called whenever a run has got on: for TensorBoard, or for nobody."""
+    if not tensorboard:
+        yield lambda: None
+        return
+    from atari_dqn.report.tensorboard import Board
+
+    with closing(Board(run)) as board:
+        yield board.update
+
+
 @app.command()
 def train(
     params_file: Annotated[Path, typer.Argument(help="An experiment's YAML file, see params/.")],
@@ -77,60 +92,89 @@ def train(
         typer.Option("--set", metavar="KEY=VALUE", help="Change a parameter; may be repeated."),
     ] = None,
     restart: Restart = False,
+    tensorboard: Annotated[
+        bool, typer.Option("--tensorboard", help="Let TensorBoard follow: writes RUN/tensorboard/.")
+    ] = False,
 ) -> None:
     """Train the runs of one experiment, or continue them; what is complete stays as it is.
 
     With --set the runs go to a folder of their own, never into the experiment's.
     """
+    if tensorboard and find_spec("tensorboard") is None:
+        raise ParameterError(
+            "--tensorboard: that package is not installed; pip install -e .[tensorboard] adds it"
+        )
     overrides = params.parse_overrides(set_ or [])
     chosen = params.pick(params.load(params_file, overrides), agent, seed)
 
-    from atari_dqn.runs import recorder
     from atari_dqn.runs.run import runs_of
 
     wanted = runs_of(chosen, results_folder(chosen.profile, results))
     _back_up(wanted if restart else [])
+    for folder in dict.fromkeys(run.folder.parents[1] for run in wanted):
+        print(f"results go to {folder}", file=sys.stderr)  # before imports that take seconds
+
+    from atari_dqn.runs import recorder
+
     with _interruptible():
         for run in wanted:
-            print(recorder.train(run))
+            with _followed(run, tensorboard) as follow:
+                print(recorder.train(run, follow=follow))
+
+
+RunFolder = Annotated[Path, typer.Argument(help="A stored run's folder, .../seed-N.")]
+Difficulty = Annotated[
+    int | None, typer.Option(help="Switches: 1 slows the agent, 2 its rival, 3 both.")
+]
+Sticky = Annotated[
+    float | None, typer.Option(help="Probability that the console repeats an action.")
+]
+Epsilon = Annotated[float | None, typer.Option(help="Probability of a random action.")]
 
 
 @app.command()
 def evaluate(
     run_dir: Annotated[Path, typer.Argument(help="A finished run's folder, .../seed-N.")],
     games: Annotated[int | None, typer.Option(min=1, help="By default the run's own.")] = None,
-    difficulty: Annotated[
-        int | None, typer.Option(help="Switches: 1 slows the agent, 2 its rival, 3 both.")
-    ] = None,
-    sticky: Annotated[
-        float | None, typer.Option(help="Probability that the console repeats an action.")
-    ] = None,
-    epsilon: Annotated[float | None, typer.Option(help="Probability of a random action.")] = None,
+    difficulty: Difficulty = None,
+    sticky: Sticky = None,
+    epsilon: Epsilon = None,
     video: Annotated[
         Path | None,
         typer.Option(help="Make a video of the first game, with the values of its actions."),
     ] = None,
 ) -> None:
     """Play whole games with a run's published model and store them in its evaluations.csv."""
-    chosen: dict[str, Any] = {
-        "difficulty": difficulty,
-        "sticky_actions": sticky,
-        "evaluation_epsilon": epsilon,
-    }
-    given = {key: value for key, value in chosen.items() if value is not None}
+    given = _conditions(difficulty, sticky, epsilon)
     _writable(video)
+    print(f"playing with {model_file(run_dir)}", file=sys.stderr)
 
-    from atari_dqn.runs import evaluations
+    from atari_dqn.runs import audit, evaluations
 
     played = evaluations.evaluate(run_dir, given, games)
     if video is not None:
         from atari_dqn.report import videos
 
         videos.write_game(run_dir, given, video)
-    print(
-        f"{len(played)} games: mean score {played.score.mean():.1f}, "
-        f"{played.won.sum()} won, {(played.knockout == 1).sum()} by knock-out"
-    )
+    said = [f"{len(played)} game{'s' * (len(played) > 1)}: mean score {played.score.mean():.1f}"]
+    facts = GAMES[audit.stored_parameters(run_dir).game]
+    if isfinite(facts.wins_at):
+        said.append(f"{played.won.sum()} won")
+    if facts.knockout_cells is not None:
+        said.append(f"{(played.knockout == 1).sum()} by knock-out")
+    print(", ".join(said))
+
+
+def _conditions(
+    difficulty: int | None, sticky: float | None, epsilon: float | None
+) -> dict[str, Any]:
+    """The parameters of a run that the command line changes."""
+    chosen = {
+        "difficulty": difficulty,
+        "sticky_actions": sticky,
+        "evaluation_epsilon": epsilon,
+    }
+    return {key: value for key, value in chosen.items() if value is not None}
 
 
 def _writable(video: Path | None) -> None:
@@ -138,7 +182,29 @@ def _writable(video: Path | None) -> None:
         raise ParameterError(f"--video {str(video)!r}: expected FILE.mp4 in a folder that exists")
 
 
-RunFolder = Annotated[Path, typer.Argument(help="A stored run's folder, .../seed-N.")]
+@app.command()
+def watch(
+    run_dir: RunFolder,
+    games: Annotated[int, typer.Option(min=1, help="How many.")] = 1,
+    difficulty: Difficulty = None,
+    sticky: Sticky = None,
+    epsilon: Epsilon = None,
+    video: Annotated[
+        Path | None,
+        typer.Option(help="Make a video of what is played; named after the run without a display."),
+    ] = None,
+) -> None:
+    """Watch a run's published model play, in a window; nothing is stored in its folder.
+
+    The games are the first of those that `evaluate` plays.
+    """
+    given = _conditions(difficulty, sticky, epsilon)
+    _writable(video)
+    print(f"playing with {model_file(run_dir)}", file=sys.stderr)
+
+    from atari_dqn.report.watch import watch
+
+    watch(run_dir, given, games, video)
 
 
 @app.command()
@@ -155,14 +221,15 @@ def replay(
     parameters = audit.stored_parameters(run_dir)
     record = audit.find(run_dir, episode)
     facts = audit.outcome(parameters, record)
+    print(
+        f"game {episode}: {facts['score']:g} points, {facts['length']:.0f} agent steps, "
+        f"{facts['frames']:.0f} frames",
+        flush=True,
+    )
     if video is not None:
         from atari_dqn.report.video import television
 
         write_atomically(video, television(records.replay(parameters, record)))
-    print(
-        f"game {episode}: {facts['score']:g} points, {facts['length']:.0f} agent steps, "
-        f"{facts['frames']:.0f} frames"
-    )
 
 
 @app.command()
@@ -189,32 +256,45 @@ def verify(
         checked = audit.verify(run_dir, None if everything else episodes or 20)
         bar = tqdm(checked, desc="verifying", unit="game", mininterval=2, leave=False)
         count = sum(1 for _ in bar)
-        print(f"{run_dir}: {count} games played again, all as the tables say")
+        games = f"{count} game{'s' * (count != 1)}"
+        print(f"{run_dir}: {games} played again, all as the tables say")
 
 
 @experiments_app.command()
 def status(names: Names = None, results: Results = None, profile: Profile = "full") -> None:
-    """Show every run: complete, running, interrupted, failed, missing or stale."""
+    """Show every run: complete, running, interrupted, failed, missing or stale.
+
+    Those that no file asks for, such as runs with changed parameters, come last. Exits with 2 if a
+    file cannot be read; what the others hold is shown all the same.
+    """
     import pandas as pd
     from tabulate import tabulate
 
     from atari_dqn.runs import plan
 
-    table = plan.status(plan.planned(profile, names or [], results))
-    shown = pd.DataFrame(
-        {
-            "experiment": table.experiment,
-            "agent": table.agent,
-            "seed": table.seed,
-            "state": table.state,
-            "games": table.games.astype(str) + "/" + table.episodes.astype(str),
-            "score": table.score.round(1),
-            "hours left": table.hours_left.round(1),
-        }
-    )
-    shown = shown.astype(object).where(shown.notna(), None)
-    print(tabulate(shown, headers="keys", showindex=False, missingval="-", disable_numparse=[4]))
-    print(plan.summary(table))
+    runs, refused = plan.known(profile, names or [], results)
+    if runs:
+        table = plan.status(runs)
+        shown = pd.DataFrame(
+            {
+                "experiment": table.experiment,
+                "agent": table.agent,
+                "seed": table.seed,
+                "state": table.state,
+                "games": table.games.astype(str) + "/" + table.episodes.astype(str),
+                "score": table.score.round(1),
+                "hours left": table.hours_left.round(1),
+            }
+        )
+        shown = shown.astype(object).where(shown.notna(), None)
+        print(
+            tabulate(shown, headers="keys", showindex=False, missingval="-", disable_numparse=[4])
+        )
+        print(plan.summary(table))
+    for line in refused:
+        print(f"error: {line}", file=sys.stderr)
+    if refused:
+        raise typer.Exit(2)
 
 
 @experiments_app.command()
@@ -237,7 +317,7 @@ def run(
 
     from atari_dqn.runs import plan
 
-    wanted = plan.planned(profile, names or [], results)
+    wanted, refused = plan.planned(profile, names or [], results)
     _back_up(wanted if restart else [])
     with _interruptible():
         if scheduler is None:
@@ -248,8 +328,8 @@ def run(
             from atari_dqn.runs import cluster
 
             failures = cluster.train_all(wanted, scheduler)
-    if failures:
-        raise RunError("\n".join(failures))
+    if failures + refused:
+        raise RunError("\n".join(failures + refused))
 
 
 @app.command(name="report")

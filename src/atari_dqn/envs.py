@@ -101,14 +101,13 @@ class AtariEnv(gymnasium.Env):
     ):
         self.game, self.facts = game, GAMES[game]
         self.frame_skip, self.noop_max = frame_skip, noop_max
-        self.difficulty, self.max_game_frames = difficulty, max_game_frames
+        self.max_game_frames = max_game_frames
         self.sticky_actions = sticky_actions
         emulator = _emulator(game)
         weakref.finalize(self, _LEFT[game].append, emulator).atexit = False
         self.ale, self._switched_on = emulator.ale, emulator.switched_on
         self.actions = self.ale.getMinimalActionSet()
-        if difficulty not in self.facts.difficulties:
-            raise ValueError(f"{game} has no difficulty {difficulty}")
+        self.set_difficulty(difficulty)
         self.action_space = gymnasium.spaces.Discrete(len(self.actions))
         self.observation_space = gymnasium.spaces.Box(0, 255, (SIZE, SIZE), np.uint8)
         self._screens = np.zeros((2, 210, 160), np.uint8)  # the two frames that are maximised
@@ -201,15 +200,35 @@ class AtariEnv(gymnasium.Env):
         agent, rival = (boxing_points(int(self.ram()[cell])) for cell in self.facts.knockout_cells)
         return float(agent), float(rival)
 
+    def places(self) -> tuple[tuple[int, int], ...]:
+        """Where the agent's boxer and its rival are, x and y in pixels; nothing in other games."""
+        memory = self.ram()
+        return tuple((int(memory[x]), int(memory[y])) for x, y in self.facts.boxers or ())
+
     def distance(self) -> float:
         """How far apart the two boxers stand, in pixels; nan in other games."""
         if self.facts.boxers is None:
             return float("nan")
-        memory = self.ram()
-        (x, y), (rival_x, rival_y) = (
-            (int(memory[a]), int(memory[b])) for a, b in self.facts.boxers
-        )
+        (x, y), (rival_x, rival_y) = self.places()
         return float(np.hypot(x - rival_x, y - rival_y))
+
+    def set_difficulty(self, difficulty: int) -> None:
+        """Sets the console's switches, also while a game goes on. Raises ValueError if the
+        cartridge does not read such a setting."""
+        if difficulty not in self.facts.difficulties:
+            raise ValueError(f"{self.game} has no difficulty {difficulty}")
+        self.difficulty = difficulty
+        self.ale.setDifficulty(difficulty)
+
+    def set_clock(self, seconds: int) -> None:
+        """Sets the clock of a game with one to so many seconds, at most two minutes. Raises
+        ValueError if it has none or they are too many."""
+        if self.facts.clock_cells is None or not 0 <= seconds <= 120:
+            raise ValueError(f"{self.game} has no clock that could be set to {seconds} seconds")
+        minute, second = self.facts.clock_cells
+        minutes, rest = divmod(seconds, 60)
+        self.ale.setRAM(minute, minutes << 4 | self.ram()[minute] & 0xF)
+        self.ale.setRAM(second, rest // 10 << 4 | rest % 10)
 
     def _act(self, action: int) -> float:
         """One frame. With probability `sticky_actions` the last action is executed once more

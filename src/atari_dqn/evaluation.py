@@ -79,6 +79,11 @@ class EpisodeInProgress:
         self.rng = np.random.default_rng(action_seed)
         self.game, self.rewards, self.distances = game, [], []
 
+    def replay(self, record: EpisodeRecord) -> None:
+        """Begins the recorded game, whose actions are then to be stepped."""
+        self.planes[:] = self.env.reset(options={"record": record})[0].reshape(-1)
+        self.rewards, self.distances = [], []
+
     def step(self, action: int) -> bool:
         """Plays one agent step; true when the game has ended."""
         image, raw, terminated, truncated, info = self.env.step(action)
@@ -102,7 +107,7 @@ class EpisodeInProgress:
             params.evaluation_epsilon,
             seed,
             *env.points(),
-            float(np.mean(self.distances)),
+            float(np.mean(self.distances)) if self.distances else float("nan"),
             env.played(),
         )
 
@@ -132,17 +137,6 @@ def play(player: Player, params: Parameters, games: int, seed: int) -> Iterator[
                 playing.remove(episode)
             else:
                 episode.start(following, seed)
-
-
-def conditions(params: Parameters) -> list[Parameters]:
-    """What a finished run is evaluated with: as it was trained, then at the difficulties, and then
-    with the sticky actions, that it asks for besides."""
-    changes: list[dict[str, Any]] = [
-        *({"difficulty": switches} for switches in params.evaluation_difficulties),
-        *({"sticky_actions": probability} for probability in params.evaluation_stickiness),
-    ]
-    changed = (params.model_copy(update=change) for change in changes)
-    return [params, *(each for each in changed if each != params)]
 
 
 def q_of(player: Player, planes: np.ndarray) -> np.ndarray:

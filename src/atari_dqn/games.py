@@ -23,8 +23,9 @@ class GameFacts:
     # rival, has knocked the other out
     boxers: tuple[tuple[int, int], tuple[int, int]] | None = None  # RAM cells of x and y, in
     # pixels, of the agent and of its rival (Anand et al., 2019)
-
     full_frames: int | None = None  # of a game that only its clock ends, where there is one
+    clock_cells: tuple[int, int] | None = None  # RAM cells of a clock that runs down: minutes in
+    # the upper half of the first, seconds in the second, as decimal digits
 
     @property
     def title(self) -> str:
@@ -54,6 +55,7 @@ GAMES = {
             knockout_cells=(18, 19),
             boxers=((32, 34), (33, 35)),
             full_frames=7141,
+            clock_cells=(16, 17),
         ),
         GameFacts("breakout", 1.7, 30.5, (0, 1), 864, fire_to_serve=True),
         GameFacts("centipede", 2090.9, 12017.0, (0,)),

@@ -52,11 +52,15 @@ def _scientific(value: Any) -> Any:
     return value
 
 
+def hint(name: str, known: Collection[str]) -> str:
+    """What to say of a name that is not among those known."""
+    near = difflib.get_close_matches(name, known, n=1)
+    return f"did you mean {near[0]!r}?" if near else f"must be one of {', '.join(known)}"
+
+
 def _named(kind: str, name: str, known: Collection[str]) -> str:
     if name not in known:
-        near = difflib.get_close_matches(name, known, n=1)
-        hint = f"did you mean {near[0]!r}?" if near else f"must be one of {', '.join(known)}"
-        raise ValueError(f"no such {kind}; {hint}")
+        raise ValueError(f"no such {kind}; {hint(name, known)}")
     return name
 
 
@@ -244,8 +248,9 @@ def _one_line(error: ValidationError, files: dict[str, Path]) -> str:
                 message = message[0].lower() + message[1:]
                 message = f"{key}: {detail['input']!r} is not allowed: {message}"
             lines.append(message)
-        if detail["loc"] and detail["loc"][0] in files:
-            lines[-1] += f" (it is in {files[detail['loc'][0]]})"
+        named = str(detail["loc"][0]) if detail["loc"] else lines[-1].partition(":")[0]
+        if named in files:
+            lines[-1] += f" (it is in {files[named]})"
     return "; ".join(lines)
 
 
@@ -292,12 +297,24 @@ def _read_file(path: Path) -> dict[str, Any]:
     try:
         values = YAML(typ="safe", pure=True).load(path.read_text(encoding="utf-8"))
     except OSError as error:
-        raise ParameterError(f"{path}: {str(error.strerror).lower()}") from None
+        why = f"{path}: {str(error.strerror).lower()}"
+        raise ParameterError(why + (_nearest(path) if not path.exists() else "")) from None
     except (YAMLError, UnicodeDecodeError) as error:
         raise ParameterError(f"{path}: " + _yaml_message(error)) from None
     if not isinstance(values, dict) or not all(isinstance(key, str) for key in values):
         raise ParameterError(f"{path}: expected lines of 'key: value'")
     return values
+
+
+def _nearest(path: Path) -> str:
+    """A hint at a file that a wrong path may mean: one beside it, or an experiment's by name."""
+    found = {file.stem: file for folder in ("params", path.parent) for file in _files(Path(folder))}
+    near = difflib.get_close_matches(path.stem, found, n=1)
+    return f"; did you mean {found[near[0]]}?" if near else ""
+
+
+def _files(folder: Path) -> list[Path]:
+    return sorted(folder.glob("*.yaml"))
 
 
 def files_behind(path: Path) -> list[Path]:
@@ -395,6 +412,17 @@ def resolve(values: dict[str, Any], folder: Path) -> Parameters:
     return given
 
 
+def conditions(params: Parameters) -> list[Parameters]:
+    """What a finished run is evaluated with: as it was trained, then at the difficulties, and then
+    with the sticky actions, that it asks for besides."""
+    changes: list[dict[str, Any]] = [
+        *({"difficulty": switches} for switches in params.evaluation_difficulties),
+        *({"sticky_actions": probability} for probability in params.evaluation_stickiness),
+    ]
+    changed = (params.model_copy(update=change) for change in changes)
+    return [params, *(each for each in changed if each != params)]
+
+
 def pick(params: Parameters, agent: str | None, seed: int | None) -> Parameters:
     """The same experiment with one agent and one seed only, where they are given."""
     if agent is not None and agent not in AGENT_NAMES:
@@ -428,12 +456,16 @@ def title(agent: str) -> str:
     return " ".join("DQN" if word == "dqn" else word.capitalize() for word in agent.split("_"))
 
 
+def text(params: Parameters) -> str:
+    """Every parameter, resolved, as YAML with its unit beside it."""
+    return "".join(
+        f"{key}: {json.dumps(getattr(params, key))}  # {field.description}\n"
+        for key, field in Parameters.model_fields.items()
+    )
+
+
 def dump(params: Parameters, path: Path) -> None:
-    """Writes every parameter, resolved, with its unit beside it."""
-    lines = []
-    for key, field in Parameters.model_fields.items():
-        value = json.dumps(getattr(params, key))
-        lines.append(f"{key}: {value}  # {field.description}\n")
+    """Writes the `text` of parameters."""
     temporary = path.with_name(f".{path.name}")
-    temporary.write_text("".join(lines), encoding="utf-8")
+    temporary.write_text(text(params), encoding="utf-8")
     temporary.replace(path)  # readers see a whole file

@@ -11,7 +11,7 @@ from ruamel.yaml import YAML
 from atari_dqn import params
 from atari_dqn.analysis.statistics import MILESTONES
 from atari_dqn.games import GAMES, GameFacts
-from atari_dqn.params import ParameterError, Parameters
+from atari_dqn.params import Parameters
 from atari_dqn.runs import plan
 from atari_dqn.runs.files import project_root, results_folder
 from atari_dqn.runs.run import (
@@ -49,14 +49,9 @@ class Section:
         agents: list[str] | None = None,
         seeds: list[int] | None = None,
     ):
-        found = {path.stem: path for path in plan.files(profile)}
-        if experiment not in found:
-            raise ParameterError(
-                f"experiment {experiment!r} is not allowed: must be one of {', '.join(found)}"
-            )
         chosen = {"agents": agents, "seeds": seeds}
         overrides = {key: value for key, value in chosen.items() if value is not None}
-        self.params: Parameters = params.load(found[experiment], overrides)
+        self.params: Parameters = params.load(plan.file(experiment, profile), overrides)
         self.facts: GameFacts = GAMES[self.params.game]
         self.slug = experiment.replace("_", "-")  # what this section's labels hold
         self.name = f"`{experiment}`"  # what sentences call it
@@ -274,21 +269,38 @@ def _last(run: Run, file: str, column: str) -> float:
     return 0.0 if table.empty else float(table[column].iloc[-1])
 
 
-def run_table(study: Study) -> pd.DataFrame:
+def comparable(runs: list[Run]) -> pd.DataFrame:
+    """A row per training game of some runs, of one experiment or of several: `training.Episode`,
+    experiment, agent, seed, and `label`, by which a curve tells itself from the others: what is
+    not the same of all, of experiment, agent and changes."""
+    runs = [run for run in runs if run.state() not in (MISSING, STALE)]
+    experiments, agents = {run.experiment for run in runs}, {run.agent for run in runs}
+    tables = []
+    for run in runs:
+        parts = {
+            run.experiment: len(experiments) > 1,
+            params.title(run.agent): len(agents) > 1,
+            run.variation: bool(run.variation),
+        }
+        label = ", ".join(part for part, told in parts.items() if told) or "as in its file"
+        tables.append(read_table([run], "episodes.csv").assign(label=label))
+    return pd.concat(tables, ignore_index=True) if tables else pd.DataFrame()
+
+
+def run_table(runs: list[Run]) -> pd.DataFrame:
     """A row per stored run: state, games, agent steps, hours, resumes, commits, hash."""
     rows = []
-    for run in study.runs:
+    for run in runs:
         state = run.state()
         if state == MISSING:
             continue
         stored = run.provenance()
         last = stored["sessions"][-1]
         commits = [_short(session["commit"]) for session in stored["sessions"]]
-        experiment = run.params.experiment.partition("+")[0]
         training = state in (RUNNING, INTERRUPTED)
         rows.append(
             {
-                "experiment": f"`{experiment}`" + (f": {run.variation}" if run.variation else ""),
+                "experiment": f"`{run.experiment}`{run.title.removeprefix(run.experiment)}",
                 "agent": params.title(run.agent),
                 "seed": run.seed,
                 "state": "unfinished" if training else state,

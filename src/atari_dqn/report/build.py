@@ -12,6 +12,7 @@ import shutil
 import struct
 import tempfile
 import tomllib
+import warnings
 from collections.abc import Collection
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import suppress
@@ -25,7 +26,7 @@ from filelock import FileLock, Timeout
 from nbconvert import MarkdownExporter
 from tqdm import tqdm
 
-from atari_dqn.report import crossrefs, fingerprint
+from atari_dqn.report import catalogue, crossrefs, fingerprint
 from atari_dqn.report.execution import execute
 from atari_dqn.runs import plan, records, robustness, scheduler, styles
 from atari_dqn.runs.files import RunError, project_root, results_folder
@@ -61,16 +62,21 @@ def build(profile: str, results: Path | None = None) -> Path:
 
 def _build(profile: str, folder: Path) -> Path:
     if profile != "full":
-        failures = scheduler.train_all(plan.planned(profile, [], folder))
+        wanted, refused = plan.planned(profile, [], folder)
+        failures = scheduler.train_all(wanted) + refused
         if failures:
             raise RunError("; ".join(failures))
-    for run in plan.planned(profile, list(styles.EXPERIMENTS), folder):
+    else:
+        for line in plan.known(profile, [], folder)[1]:  # of somebody's own, or the sections fail
+            warnings.warn(f"{line}; left out", stacklevel=2)
+    for run in plan.planned(profile, list(styles.EXPERIMENTS), folder)[0]:
         compared = run.agent == styles.AGENT or run.params.experiment == styles.FINAL
         if compared and (run.folder / records.FILE).exists():
             styles.measure(run)
-    for run in plan.planned(profile, list(robustness.EXPERIMENTS), folder):
+    for run in plan.planned(profile, list(robustness.EXPERIMENTS), folder)[0]:
         robustness.measure(run)
-    executed = _execute(profile, folder, _snapshot(folder))
+    snapshot = _snapshot(folder)
+    executed = _execute(profile, folder, snapshot)
     data = project_root() / "notebooks" / "data"
     with tempfile.TemporaryDirectory() as temporary:
         made = Path(temporary)
@@ -87,6 +93,8 @@ def _build(profile: str, folder: Path) -> Path:
         for name in ("index.html", "report.pdf", "names.json"):
             shutil.copyfile(made / name, target / f".{name}")
             (target / f".{name}").replace(target / name)
+    if profile == "full":  # the others' agents are no evidence, and nobody's to take
+        catalogue.write(profile, snapshot, folder)
     return target
 
 
@@ -103,7 +111,7 @@ def _snapshot(folder: Path) -> Path:
                 return
         shutil.copyfile(source, target)
 
-    ignored = shutil.ignore_patterns(".*")
+    ignored = shutil.ignore_patterns(".*", "tensorboard")
     for name in ("runs", "styles", "robustness"):
         (folder / name).mkdir(parents=True, exist_ok=True)
         shutil.copytree(folder / name, snapshot / name, ignore=ignored, copy_function=copy)
@@ -175,9 +183,10 @@ DARK = (
 
 def _without_runs(profile: str, folder: Path) -> set[str]:
     """The experiments of which no run has begun."""
-    planned = plan.planned(profile, [], folder)
-    begun = {run.params.experiment.partition("+")[0] for run in planned if run.folder.exists()}
-    return {run.params.experiment.partition("+")[0] for run in planned} - begun
+    planned, _ = plan.planned(profile, [], folder)
+    return {run.experiment for run in planned} - {
+        run.experiment for run in planned if run.folder.exists()
+    }
 
 
 NEEDS = "needs:"  # a cell's tag says by this that its text is about the runs of an experiment

@@ -11,7 +11,7 @@ from atari_dqn import params
 from atari_dqn.report import crossrefs
 from atari_dqn.runs import plan
 from atari_dqn.runs.files import project_root
-from atari_dqn.runs.run import runs_of
+from atari_dqn.runs.run import Run, runs_of
 
 
 def fingerprint(notebook: Path, profile: str, results: Path) -> str:
@@ -52,19 +52,28 @@ def _data(notebook: Path) -> list[Path]:
 
 
 def _stored(code: str, profile: str, results: Path) -> Iterator[Path]:
-    """The parameter files of every experiment that the code names, of all of them if it asks for a
-    study of no experiments in particular; and, if it shows any runs, those that are stored of
-    them, and what these start from."""
+    """The parameter files of every experiment that the code names, of all that the report is about
+    if it asks for a study of none in particular; and, if it shows any runs, those that are stored
+    of them, and what these start from; or all that are stored."""
     shows_runs = re.search(r"\b(Section|Study)\(", code)
+    of_all = re.search(r"\bStudy\((?![^)]*names)", code)
     for path in plan.files(profile):
-        if not re.search(rf"""["']{path.stem}["']|\bStudy\((?![^)]*names)""", code):
+        named = re.search(rf"""["']{path.stem}["']""", code)
+        if not named and not (of_all and path.stem in plan.ORDER):
             continue
         yield from params.files_behind(path)
         for run in runs_of(params.load(path), results) if shows_runs else ():
             for each in (run, run.source()):
                 if each is not None:
-                    files = [*each.folder.rglob("[!.]*"), each.styles, each.robustness]
-                    yield from sorted(file for file in files if file.is_file())
+                    yield from _files(each)
+    if "plan.stored(" in code:
+        for run in plan.stored(profile, [], results):
+            yield from _files(run)
+
+
+def _files(run: Run) -> list[Path]:
+    files = [*run.folder.rglob("[!.]*"), run.styles, run.robustness]
+    return sorted(file for file in files if file.is_file())
 
 
 PACKAGE = Path(__file__).parents[1]

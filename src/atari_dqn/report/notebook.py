@@ -7,10 +7,12 @@ from IPython.core.getipython import get_ipython
 
 from atari_dqn import params
 from atari_dqn.analysis.study import Section
-from atari_dqn.params import ParameterError
+from atari_dqn.params import ParameterError, Parameters
 from atari_dqn.report.outputs import show_text
 from atari_dqn.runs.files import RunError, project_root, results_folder
 from atari_dqn.runs.run import COMPLETE, STALE, Run
+
+OWN = ("agent", "seed", "results_dir")  # parameters of experiment.ipynb that are none of training
 
 
 def injected() -> dict[str, Any]:
@@ -36,14 +38,35 @@ def injected() -> dict[str, Any]:
     return {name: shell.user_ns[name] for name in names}
 
 
+def one_line_errors() -> None:
+    """From now on, what a user can mend is an error of one line in this notebook, as it is on the
+    command line."""
+
+    def show(
+        shell: Any, kind: type, error: BaseException, traceback: Any, tb_offset: int | None = None
+    ) -> list[str]:
+        line = f"{kind.__name__}: {error}"
+        shell._showtraceback(kind, error, [line])  # to the notebook's front end
+        return [line]
+
+    shell = get_ipython()
+    assert shell is not None, "notebook.one_line_errors() is for notebooks"
+    shell.set_custom_exc((ParameterError, RunError, OSError), show)
+
+
 def run_from_notebook(values: dict[str, Any]) -> Run:
     """The run that experiment.ipynb's parameters describe.
 
     `agent`, `seed` and `results_dir` are the notebook's own; everything else must be a training
-    parameter. Raises ParameterError, also for an experiment of several variations.
+    parameter, and None leaves one as the experiment's file has it. Raises ParameterError, also for
+    an experiment of several variations.
     """
-    values = dict(values)
-    agent, seed, results = (values.pop(name, None) for name in ("agent", "seed", "results_dir"))
+    known = {*Parameters.model_fields, *OWN, "base"}
+    for name in values:
+        if name not in known:
+            raise ParameterError(f"unknown parameter {name!r}; {params.hint(name, known)}")
+    values = {name: value for name, value in values.items() if value is not None}
+    agent, seed, results = (values.pop(name, None) for name in OWN)
     resolved = params.resolve(values, project_root() / "params")
     if resolved.variations:
         raise ParameterError(

@@ -95,9 +95,10 @@ def agents_of(table: pd.DataFrame) -> list[str]:
 def smoothed(episodes: pd.DataFrame, window: int) -> pd.DataFrame:
     """Adds `mean`, the mean score of the last `window` episodes; episodes before the first go.
 
-    `episodes` holds columns episode, score, agent, seed and, of a sweep, variation.
+    `episodes` holds columns episode, score, agent, seed and, of a sweep or of several experiments,
+    variation and experiment.
     """
-    keys = [key for key in ("variation", "agent", "seed") if key in episodes]
+    keys = [key for key in ("experiment", "variation", "agent", "seed") if key in episodes]
     means = episodes.groupby(keys, sort=False).score.transform(trailing_mean, window)
     return episodes.assign(mean=means).dropna(subset="mean")
 
@@ -243,9 +244,18 @@ def references(axes: Axes, facts: GameFacts, labelled: bool, upright: bool = Fal
         axes.annotate(text, at, **how)
 
 
-def comparison(episodes: pd.DataFrame, facts: GameFacts, window: int, by: str) -> Figure:
-    """Mean score of the last `window` episodes against episodes, a line for each `by`: agents, or
-    `variation`, settings of one agent in their order."""
+def comparison(
+    episodes: pd.DataFrame,
+    facts: GameFacts,
+    window: int,
+    by: str,
+    source: pd.DataFrame | None = None,
+    main: str | None = None,
+) -> Figure:
+    """Mean score of the last `window` episodes against episodes, a line for each `by`: agents,
+    or settings in their order, by `variation` or by the `label` of `study.comparable`. `source` are
+    scores of the source report (columns episode and score), drawn a little further than the curves
+    reach; `main` is the line that the others are there to be compared with."""
     curves = smoothed(episodes, window)
     figure, axes = plt.subplots(figsize=(WIDTH, 3.4))
     names = list(dict.fromkeys(curves[by]))
@@ -255,10 +265,22 @@ def comparison(episodes: pd.DataFrame, facts: GameFacts, window: int, by: str) -
     for name in names:
         look, title = (STYLES[name], params.title(name)) if by == "agent" else (looks[name], name)
         mean = curves[curves[by] == name].groupby("episode")["mean"].mean()
-        handles += axes.plot(mean.index, mean, color=look.colour, ls=look.line, lw=1.8)
+        if name == main:
+            look = Style(INK, "-")
+        width = 2.6 if name == main else 1.8
+        handles += axes.plot(mean.index, mean, color=look.colour, ls=look.line, lw=width)
         named(handles[-1], title, value=title)
-    axes.legend(handles=handles, loc="lower left", bbox_to_anchor=(-0.01, 1), ncols=4)
-    axes.set(xlabel="training games", ylabel=f"score, mean of {window} games")
+    if source is not None:
+        near = source[source.episode <= 1.3 * episodes.episode.max()].dropna(subset="score")
+        if len(near):
+            how = {"mfc": "white", "color": INK, "mew": 1.4, "ms": 6, "clip_on": False}
+            handles += axes.plot(near.episode, near.score, "o", **how)
+            named(handles[-1], SOURCE, value=SOURCE)
+    longest = max((len(str(handle.get_label())) for handle in handles), default=0)
+    columns = max(1, min(4, 90 // (longest + 8)))  # about 90 letters go into the figure's width
+    axes.legend(handles=handles, loc="lower left", bbox_to_anchor=(-0.01, 1), ncols=columns)
+    averaged = f"score, mean of {window} games" if window > 1 else "score"
+    axes.set(xlabel="training games", ylabel=averaged)
     return figure
 
 

@@ -1,6 +1,7 @@
 """The figures and tables that every section about an experiment has."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -35,11 +36,9 @@ def show_curves(section: Section) -> None:
             f"A learning curve, of means of {window} games, follows after that many games.",
         )
         return
-    published = data("published")
-    points = {"frames": published["frames"], **published.get(section.params.game, {})}
     source = source_points(section)
     figure = plots.learning_curves(
-        section.episodes, facts, window, points if section.default_difficulty else None, source
+        section.episodes, facts, window, published_points(section), source
     )
     caption = [
         f"{facts.title}, `{section.params.experiment}`: raw score while training, with "
@@ -70,6 +69,15 @@ def show_curves(section: Section) -> None:
         "games, frames and processor time.",
         data=section.origin + "episodes.csv and timing.csv",
     )
+
+
+def published_points(section: Section) -> dict[str, Any] | None:
+    """Scores of agents of the literature by name, and under "frames" where they stand; None of a
+    difficulty that nobody has published."""
+    if not section.default_difficulty:
+        return None
+    published = data("published")
+    return {"frames": published["frames"], **published.get(section.params.game, {})}
 
 
 def source_points(section: Section) -> pd.DataFrame:

@@ -28,7 +28,7 @@ from PIL import Image, ImageDraw, ImageFont
 from torch import nn
 
 from atari_dqn.envs import SIZE, AtariEnv, interleave, make_env
-from atari_dqn.evaluation import EpisodeInProgress, EvaluationEpisode, Player, player_of, q_of
+from atari_dqn.evaluation import EpisodeInProgress, EvaluationEpisode, player_of, q_of
 from atari_dqn.networks import DuelingNetwork
 from atari_dqn.params import Parameters
 from atari_dqn.report import plots
@@ -76,7 +76,7 @@ def play_with_instruments(
 
     `seconds` cuts an excerpt.
     """
-    return _video({title: _record(network, params, seed, game)}, seconds)
+    return _video({title: record(network, params, seed, game)}, seconds)
 
 
 def side_by_side(
@@ -90,15 +90,14 @@ def side_by_side(
     The video is as long as the longest game; the others wait with their last pictures, dimmed.
     """
     recordings = {
-        name: _record(network, params, seed, game)
-        for name, (network, params) in contestants.items()
+        name: record(network, params, seed, game) for name, (network, params) in contestants.items()
     }
     return _video(recordings, seconds)
 
 
 @dataclass(frozen=True)
-class _Recording:
-    """A game of T steps, A actions."""
+class Recording:
+    """A game of T steps, A actions, and what a network made of it."""
 
     params: Parameters
     result: EvaluationEpisode
@@ -107,6 +106,7 @@ class _Recording:
     q_values: np.ndarray  # float32 [T, A]
     values: np.ndarray  # float [T]
     scores: np.ndarray  # points, float [T + 1]: before every step, and at the end
+    otherwise: str = "random"  # what an action is that is not the best one
 
     @property
     def agent(self) -> str:
@@ -129,48 +129,55 @@ class _Recording:
     def replay(self) -> Iterator[EpisodeInProgress]:
         """The game before every step, and at the end."""
         episode = EpisodeInProgress(self.params)
-        episode.start(self.result.game, self.result.seed)
+        episode.replay(self.result.record)
         yield episode
         for action in self.actions:
             episode.step(int(action))
             yield episode
 
 
-def _record(network: nn.Module, params: Parameters, seed: int, game: int) -> _Recording:
+class Critic:
+    """What a network makes of what it sees: the value of every action, and of the state."""
+
+    def __init__(self, network: nn.Module, params: Parameters):
+        self.agents = params.agents  # its own is the first
+        self.network, self.player = network, player_of(network, params)
+        self.stream = network.value_output if isinstance(network, DuelingNetwork) else None
+        self.symbol = "V(s)" if self.stream else "max Q"
+
+    def __call__(self, planes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Q-values float32 [N, A] of observations (uint8 [stack, N, 84*84]), and the values float32
+        [N]: what the value stream of a dueling network says, else the greatest Q-values."""
+        q_values = q_of(self.player, planes)
+        if self.stream is None:
+            return q_values, q_values.max(axis=1)
+        said: list[torch.Tensor] = []
+        device = next(self.network.parameters()).device
+        with (
+            torch.no_grad(),
+            self.stream.register_forward_hook(lambda *call: said.append(call[2])),
+        ):
+            self.network(torch.from_numpy(interleave(planes)).to(device))
+        return q_values, said[0][:, 0].cpu().numpy()
+
+
+def record(network: nn.Module, params: Parameters, seed: int, game: int) -> Recording:
+    """Plays game number `game` as `evaluation.play` would."""
     episode, ended = EpisodeInProgress(params), False
     episode.start(game, seed)
-    player = player_of(network, params)
+    critic = Critic(network, params)
     decisions, scores = [], [0.0]
     while not ended:
-        q_value, value = _q_and_value(network, player, episode.planes[:, None])
-        action = int(epsilon_greedy(q_value[None], params.evaluation_epsilon, episode.rng)[0])
+        q_values, values = critic(episode.planes[:, None])
+        action = int(epsilon_greedy(q_values, params.evaluation_epsilon, episode.rng)[0])
         ended = episode.step(action)
-        decisions.append((action, q_value, value))
+        decisions.append((action, q_values[0], float(values[0])))
         scores.append(episode.env.score)
-    symbol = "V(s)" if isinstance(network, DuelingNetwork) else "max Q"
     arrays = (np.array(column) for column in (*zip(*decisions, strict=True), scores))
-    return _Recording(params, episode.result(seed), symbol, *arrays)
+    return Recording(params, episode.result(seed), critic.symbol, *arrays)
 
 
-def _q_and_value(
-    network: nn.Module, player: Player, planes: np.ndarray
-) -> tuple[np.ndarray, float]:
-    """Q-values float32 [A] of an observation (uint8 [stack, 1, 84*84]), and its value: what the
-    value stream of a dueling network says, else the greatest Q-value."""
-    q_value = q_of(player, planes)[0]
-    if not isinstance(network, DuelingNetwork):
-        return q_value, float(q_value.max())
-    said = []
-    device = next(network.parameters()).device
-    with (
-        torch.no_grad(),
-        network.value_output.register_forward_hook(lambda *call: said.append(call[2])),
-    ):
-        network(torch.from_numpy(interleave(planes)).to(device))
-    return q_value, float(said[0][0, 0])
-
-
-def _video(recordings: dict[str, _Recording], seconds: Seconds) -> Video:
+def _video(recordings: dict[str, Recording], seconds: Seconds) -> Video:
     """A video of one game with its instruments, or of several side by side."""
     games = list(recordings.values())
     rate, longest = games[0].rate, max(len(game.actions) for game in games)
@@ -180,7 +187,7 @@ def _video(recordings: dict[str, _Recording], seconds: Seconds) -> Video:
     steps = range(*slice(*bounds).indices(longest + 1))  # the last one is the end of the game
     if not steps:
         raise ValueError(f"seconds {seconds}: the game lasts {float(longest / rate):.1f} s")
-    stage = _Stage(recordings)
+    stage = Stage(recordings)
     poster, poster_step = b"", _telling(games, steps)
     pictures = MOMENTS[len(games) > 2]
     moments = np.linspace(steps[0], steps[-1], pictures).round().astype(int).tolist()
@@ -236,7 +243,7 @@ def _encoded(pictures: Iterator[np.ndarray], rate: Fraction) -> bytes:
         return path.read_bytes()
 
 
-def _telling(games: list[_Recording], steps: range) -> int:
+def _telling(games: list[Recording], steps: range) -> int:
     """The step, in the later half, at which the choice of an action matters most to them all."""
     common = min(len(game.actions) for game in games)  # when the first of them ends
     first = min((steps[0] + steps[-1]) // 2, common - 1)
@@ -245,10 +252,10 @@ def _telling(games: list[_Recording], steps: range) -> int:
     return max(steps[0], first + int(np.argmax(spreads)))
 
 
-class _Stage:
+class Stage:
     """A canvas with a column per game, and for a single one its network's mind beside it."""
 
-    def __init__(self, recordings: dict[str, _Recording]):
+    def __init__(self, recordings: dict[str, Recording]):
         games = list(recordings.values())
         width = min(320, (WIDTH - MARGIN) // len(games) - MARGIN)
         height = TOP + width * 210 // 160 + 148
@@ -270,9 +277,9 @@ class _Stage:
                     continue  # it waits
                 episode = next(replay)
                 if step in steps or step == last:
-                    column.draw(episode, step)
+                    column.draw(episode.env.render(), step)
                     if self.mind is not None:
-                        self.mind.draw(episode, step)
+                        self.mind.draw(episode.planes, step)
             if step in steps:
                 yield step
 
@@ -284,7 +291,7 @@ class _Column:
     top won, inverted ones at the bottom lost.
     """
 
-    def __init__(self, view: np.ndarray, name: str, recordings: dict[str, _Recording]):
+    def __init__(self, view: np.ndarray, name: str, recordings: dict[str, Recording]):
         self.view, self.game = view, recordings[name]
         width, self.colour = view.shape[1], self.game.colour
         _write(view, name, 0, 34, 19, self.colour, bold=True)
@@ -311,9 +318,10 @@ class _Column:
         """The row of a value (or several); the edges are for the marks of points."""
         return 12 + (self.high - value) / (self.high - self.low) * (self.trace.shape[0] - 25)
 
-    def draw(self, episode: EpisodeInProgress, step: int) -> None:
+    def draw(self, screen: np.ndarray, step: int) -> None:
+        """Draws a step; `screen` is the television's picture, uint8 [210, 160, 3]."""
         game, width = self.game, self.view.shape[1]
-        size, doubled = self.screen.shape[1::-1], episode.env.render().repeat(2, 0).repeat(2, 1)
+        size, doubled = self.screen.shape[1::-1], screen.repeat(2, 0).repeat(2, 1)
         self.picture = cv2.resize(doubled, size, interpolation=cv2.INTER_AREA)
         self.screen[:] = self.picture
         now = min(step, len(game.actions) - 1)  # at the end, the last decision stays
@@ -356,7 +364,7 @@ class _Mind:
     with a white end is cut short.
     """
 
-    def __init__(self, view: np.ndarray, game: _Recording):
+    def __init__(self, view: np.ndarray, game: Recording):
         self.game = game
         self.side = min(SIZE, view.shape[1] // game.params.frame_stack - GAP)
         _write(view, "what the network sees", 0, 34, 16, SOFT)
@@ -369,7 +377,7 @@ class _Mind:
         self.shares = (game.q_values - means) / full
         _write(view, f"±{full:.2g}", view.shape[1], TOP + SIZE + 34, 16, SOFT, align=1)
         self.random = game.actions != game.q_values.argmax(axis=1)
-        self.names = [_words(action.name) for action in make_env(game.params).actions]
+        self.names = [words(action.name) for action in make_env(game.params).actions]
         self.pitch = min(60, self.bars.shape[0] // len(self.names))
         self.left = 10 + max(_glyphs(name, 17).shape[1] for name in self.names)
         self.reach = (view.shape[1] - self.left) // 2
@@ -383,8 +391,9 @@ class _Mind:
     def _baseline(self, row: int) -> int:
         return row * self.pitch + self.pitch // 2 + 6
 
-    def draw(self, episode: EpisodeInProgress, step: int) -> None:
-        for number, image in enumerate(episode.planes.reshape(-1, SIZE, SIZE)):
+    def draw(self, planes: np.ndarray, step: int) -> None:
+        """Draws a step; `planes` are the images of the observation, uint8 [stack, 84*84]."""
+        for number, image in enumerate(planes.reshape(-1, SIZE, SIZE)):
             x = number * (self.side + GAP)
             small = cv2.resize(image, (self.side, self.side), interpolation=cv2.INTER_AREA)
             self.images[:, x : x + self.side] = small[:, :, None]
@@ -409,10 +418,10 @@ class _Mind:
                 self.bars[top + inset : bottom - inset, tip] = INK
             if row in guessed:
                 at = (self.bars.shape[1] - 6, self._baseline(row))
-                _write(self.bars, "random", *at, 17, INK, True, 1)
+                _write(self.bars, self.game.otherwise, *at, 17, INK, True, 1)
 
 
-def _words(action: str) -> str:
+def words(action: str) -> str:
     """UPRIGHTFIRE is up right fire."""
     for word in ("UP", "DOWN", "LEFT", "RIGHT"):
         action = action.replace(word, f"{word} ")
@@ -457,7 +466,7 @@ def _write(
 
 
 def _strip(
-    recordings: dict[str, _Recording], kept: dict[int, list[np.ndarray]], steps: range
+    recordings: dict[str, Recording], kept: dict[int, list[np.ndarray]], steps: range
 ) -> bytes:
     """The television pictures in `kept` (by step), above the values of all `steps`."""
     rows, buffer = len(recordings), io.BytesIO()
@@ -502,7 +511,7 @@ def _strip(
     return buffer.getvalue()
 
 
-def _looks(recordings: dict[str, _Recording]) -> list[plots.Style]:
+def _looks(recordings: dict[str, Recording]) -> list[plots.Style]:
     """How each game's values are drawn: as its agent's; of one agent at several stages, as
     shades."""
     agents = [game.agent for game in recordings.values()]

@@ -12,7 +12,7 @@ from atari_dqn.analysis.study import Section
 from atari_dqn.report.outputs import show_absent, show_placeholders, show_video
 from atari_dqn.report.video import Video, play_with_instruments, side_by_side
 from atari_dqn.runs import models
-from atari_dqn.runs.files import RunError, write_atomically
+from atari_dqn.runs.files import write_atomically
 from atari_dqn.runs.models import load_model, stored_agent
 from atari_dqn.runs.run import Run
 
@@ -34,15 +34,6 @@ def _scored(video: Video) -> str:
 def _newest(section: Section) -> list[tuple[Run, int]]:
     """The runs that have a model, with the games behind the newest."""
     return [(run, max(found)) for run in section.usable if (found := models.stored(run))]
-
-
-def newest(section: Section) -> tuple[Run, int, nn.Module]:
-    """The newest model of a section's first stored run: the run, the games of training behind it,
-    the network. Raises RunError if there is none."""
-    for run, games in _newest(section):
-        return run, games, _network(run, games)
-    names = ", ".join(run.name for run in section.runs)
-    raise RunError(f"no model is stored of {names}")
 
 
 def show_best(section: Section, label: str, seconds: int) -> None:

@@ -11,12 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from atari_dqn import evaluation, params
+from atari_dqn import params
 from atari_dqn.envs import EpisodeRecord, learned_reward
 from atari_dqn.params import Parameters
 from atari_dqn.runs import records
-from atari_dqn.runs.evaluations import evaluations_lock
-from atari_dqn.runs.files import RunError
+from atari_dqn.runs.files import RunError, evaluations_lock
 from atari_dqn.runs.records import EVALUATION, KEYS, TRAINING, VALUES, Game, Heading, RecordError
 from atari_dqn.runs.run import COMPLETE
 
@@ -117,6 +116,8 @@ def find(folder: Path, episode: int) -> EpisodeRecord:
 
 def _values(parameters: Parameters, behind: list[EpisodeRecord]) -> Facts:
     """What the greedy games behind a row of values.csv come to."""
+    from atari_dqn import evaluation  # which imports torch
+
     scores, returns = [], []
     for record in behind:
         rewards: list[float] = []
@@ -253,7 +254,7 @@ def _compare_lists(stored: Stored) -> None:
     there = Counter(_place(game) for game in stored.games)
     for kind, table in TABLES.items():
         rows = {(kind, *_key(kind, row)) for row in stored.tables[kind]}
-        each = evaluation.VALUE_GAMES if kind == VALUES else 1
+        each = params.VALUE_GAMES if kind == VALUES else 1
         for place in rows:
             if there[place] != each:
                 raise Difference(
@@ -299,6 +300,6 @@ def _wanted(stored: Stored, kind: str) -> list[tuple]:
             setting.seeds[0],
             game,
         )
-        for setting in evaluation.conditions(stored.params)
+        for setting in params.conditions(stored.params)
         for game in range(setting.evaluation_games)
     ]

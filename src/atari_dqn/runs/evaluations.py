@@ -1,18 +1,15 @@
 """Evaluating a stored run: its model plays, and its folder remembers the games."""
 
-import os
-from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
-from filelock import FileLock
 from tqdm import tqdm
 
 from atari_dqn import evaluation
 from atari_dqn.evaluation import EvaluationEpisode
 from atari_dqn.runs import models, records
-from atari_dqn.runs.files import write_atomically
+from atari_dqn.runs.files import evaluations_lock, write_atomically
 from atari_dqn.training import prepare_process
 
 
@@ -34,14 +31,6 @@ def evaluate(folder: Path, overrides: dict[str, Any], games: int | None = None) 
     store_evaluation(folder, played, trained)
     table = pd.DataFrame([game.row() for game in played])
     return table.sort_values("game", ignore_index=True)
-
-
-def evaluations_lock(folder: Path) -> AbstractContextManager:
-    """To be held while evaluations or records are written, or read together: a run may train, or
-    end, while another process evaluates it. Nobody changes a folder that cannot be written to."""
-    if not os.access(folder, os.W_OK):
-        return nullcontext()
-    return FileLock(folder / ".evaluations.lock")
 
 
 def store_evaluation(folder: Path, played: list[EvaluationEpisode], trained_games: int) -> None:

@@ -1,8 +1,12 @@
 """Where results are, and writing a file there: readers see the old one or the new one."""
 
 import os
-from contextlib import suppress
+from contextlib import AbstractContextManager, nullcontext, suppress
 from pathlib import Path
+
+from filelock import FileLock
+
+from atari_dqn.params import ParameterError
 
 
 class RunError(RuntimeError):
@@ -23,6 +27,25 @@ def results_folder(profile: str, results: Path | str | None = None) -> Path:
         return Path(results)
     folder = project_root() / "results"
     return folder if profile == "full" else folder / profile
+
+
+def model_file(folder: Path) -> Path:
+    """The weights of a stored run. Raises ParameterError if there are none."""
+    path = folder / "model.safetensors"
+    if not path.exists():
+        raise ParameterError(
+            f"{folder}: no model.safetensors here; a run's folder (.../seed-N) has one from its "
+            "first checkpoint on"
+        )
+    return path
+
+
+def evaluations_lock(folder: Path) -> AbstractContextManager:
+    """To be held while evaluations or records are written, or read together: a run may train, or
+    end, while another process evaluates it. Nobody changes a folder that cannot be written to."""
+    if not os.access(folder, os.W_OK):
+        return nullcontext()
+    return FileLock(folder / ".evaluations.lock")
 
 
 def write_atomically(path: Path, data: bytes) -> None:

@@ -12,8 +12,8 @@ from torch import nn
 from atari_dqn import params
 from atari_dqn.agents import AGENTS, torch_device
 from atari_dqn.envs import make_env
-from atari_dqn.params import ParameterError, Parameters
-from atari_dqn.runs.files import RunError
+from atari_dqn.params import Parameters
+from atari_dqn.runs.files import RunError, model_file
 from atari_dqn.runs.run import COMPLETE, Run
 
 
@@ -44,7 +44,12 @@ def load_model(path: Path, parameters: Parameters) -> nn.Module:
 
 def stored(run: Run) -> dict[int, Path]:
     """{games of training: file} of a run's stored models: snapshots, and the newest."""
-    paths = [*run.folder.glob("snapshots/*.safetensors"), run.folder / "model.safetensors"]
+    return in_folder(run.folder)
+
+
+def in_folder(folder: Path) -> dict[int, Path]:
+    """The same of a stored run's folder."""
+    paths = [*folder.glob("snapshots/*.safetensors"), folder / "model.safetensors"]
     return dict(sorted((trained_games(path), path) for path in paths if path.exists()))
 
 
@@ -65,9 +70,7 @@ def initial_weights(run: Run) -> dict[str, torch.Tensor] | None:
 def stored_agent(folder: Path, overrides: dict[str, Any]) -> tuple[nn.Module, Parameters]:
     """A stored run's newest model, and its parameters with `overrides` on top. Raises RunError or
     ParameterError on bad input."""
-    path = folder / "model.safetensors"
-    if not path.exists():
-        raise ParameterError(f"{folder}: no model.safetensors here; is it a finished run?")
+    path = model_file(folder)
     values = params.read_values(folder / "params.yaml")
     parameters = params.parse({**values, **overrides}, str(folder / "params.yaml"))
     try:

@@ -1,12 +1,13 @@
 """The runs that the parameter files ask for, and how far they have come."""
 
+import json
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
 from atari_dqn import params
-from atari_dqn.params import ParameterError
+from atari_dqn.params import ParameterError, Parameters
 from atari_dqn.runs import checkpoints
 from atari_dqn.runs.files import RunError, project_root, results_folder
 from atari_dqn.runs.run import COMPLETE, FAILED, INTERRUPTED, STALE, Run, read_table, runs_of
@@ -36,28 +37,119 @@ def files(profile: str) -> list[Path]:
     return sorted(found, key=lambda path: (rank.get(path.stem, len(rank)), path.stem))
 
 
-def planned(profile: str, names: list[str], results: Path | None) -> list[Run]:
-    """Every run of the named experiments, in that order, or of all.
-
-    Raises ParameterError on an unknown name, also of an experiment to start from.
-    """
+def file(name: str, profile: str) -> Path:
+    """The parameter file of an experiment. Raises ParameterError if there is none."""
     available = {path.stem: path for path in files(profile)}
-    for name in names:
-        if name not in available:
-            raise ParameterError(
-                f"experiment {name!r} is not allowed: must be one of {', '.join(available)}"
-            )
-    chosen = [params.load(available[name]) for name in dict.fromkeys(names or available)]
-    folder = results_folder(profile, results)
-    wanted = [run for parameters in chosen for run in runs_of(parameters, folder)]
-    for run in wanted:
+    if name not in available:
+        raise ParameterError(f"experiment {name!r} is not allowed: {params.hint(name, available)}")
+    return available[name]
+
+
+def planned(
+    profile: str, names: list[str], results: Path | str | None
+) -> tuple[list[Run], list[str]]:
+    """Every run of the named experiments, in that order, or of all; and of all, a line for each
+    whose file is bad, which stops no other.
+
+    Raises ParameterError if that of a named one is, or if there is none of that name.
+    """
+    chosen = [file(name, profile) for name in dict.fromkeys(names)] or files(profile)
+    wanted: list[Run] = []
+    refused: list[str] = []
+    for path in chosen:
+        try:
+            wanted += _runs(path, profile, results_folder(profile, results))
+        except ParameterError as error:
+            if names:
+                raise
+            refused.append(str(error))
+    return wanted, refused
+
+
+def _runs(path: Path, profile: str, folder: Path) -> list[Run]:
+    """The runs that a file asks for. Raises ParameterError, also if one is to start from another
+    experiment's model that is neither stored nor planned."""
+    found = runs_of(params.load(path), folder)
+    for run in found:
         source = run.params.initial_weights
-        if source and source not in available and not (folder / "runs" / source).exists():
-            raise ParameterError(
-                f"{run.params.experiment}: initial_weights: {source!r} is not allowed: must be "
-                f"stored in {folder / 'runs'} or one of {', '.join(available)}"
-            )
-    return wanted
+        if source and not (folder / "runs" / source).exists():
+            available = [path.stem for path in files(profile)]
+            if source not in available:
+                raise ParameterError(
+                    f"{path}: initial_weights: {source!r} is not allowed: no such run is stored "
+                    f"in {folder / 'runs'}, and no such experiment is in params/; "
+                    + params.hint(source, available)
+                )
+    return found
+
+
+def known(
+    profile: str, names: list[str], results: Path | str | None
+) -> tuple[list[Run], list[str]]:
+    """Every run there is to see, of the named experiments or of all: those that the files ask for,
+    and then the stored ones that no file asks for (with changed parameters, which are their
+    `variation`; of other seeds; of an experiment without a file). And a line for each file that
+    cannot be read.
+
+    Raises ParameterError on a name of nothing, or if the file of a named one is bad.
+    """
+    everything, refused = planned(profile, [], results)
+    folder = results_folder(profile, results)
+    others, damaged = _besides(profile, names, folder, {run.folder for run in everything})
+    if names:
+        of_files = {path.stem for path in files(profile)}
+        without = {run.experiment for run in others} - of_files
+        asked = [name for name in names if name not in without]
+        everything, refused = planned(profile, asked, results) if asked else ([], [])
+    return everything + others, refused + damaged
+
+
+def _besides(
+    profile: str, names: list[str], folder: Path, asked_for: set[Path]
+) -> tuple[list[Run], list[str]]:
+    """The stored runs whose folders are not among those asked for, in the experiments' order, and
+    a line for each whose parameters cannot be read."""
+    found, damaged = [], []
+    for path in sorted((folder / "runs").glob(f"*/*/seed-*/{params.STORED}")):
+        experiment, _, change = path.parents[2].name.partition("+")
+        elsewhere = path.parent in asked_for or "." in path.parent.name  # kept aside
+        if elsewhere or (names and experiment not in names):
+            continue
+        try:
+            stored = params.parse(params.read_values(path), str(path))
+            run = Run(stored, folder, _changes(stored, profile) if change else "")
+        except ParameterError as error:
+            damaged.append(str(error))
+            continue
+        if run.folder == path.parent and stored.profile == profile:  # else it is a copy
+            found.append(run)
+    order = [path.stem for path in files(profile)]
+    order += [run.experiment for run in found]
+    found.sort(key=lambda run: order.index(run.experiment))
+    return found, damaged
+
+
+def _changes(changed: Parameters, profile: str) -> str:
+    """How the parameters of a stored run differ from those of its experiment's file: "gamma 0.5,
+    batch size 64"; the hash in their name if that cannot be told."""
+    name, _, digest = changed.experiment.partition("+")
+    try:
+        base = params.load(file(name, profile))
+    except ParameterError:  # no file, or a bad one, which `planned` tells
+        return f"+{digest}"
+    same = (params.NOT_VARIANT - {"episodes"}) | params.EVALUATED_BESIDES
+    different = [
+        f"{key.replace('_', ' ')} {value if isinstance(value, str) else json.dumps(value)}"
+        for key, value in changed.model_dump(exclude=same).items()
+        if value != getattr(base, key)
+    ]
+    return ", ".join(different) or f"+{digest}"  # the file says the same by now
+
+
+def stored(profile: str, names: list[str], results: Path | str | None = None) -> list[Run]:
+    """Those of the `known` runs of which something is stored. What cannot be read is left out."""
+    runs, _ = known(profile, names, results)
+    return [run for run in runs if (run.folder / params.STORED).exists()]
 
 
 def status(wanted: list[Run]) -> pd.DataFrame:
@@ -74,7 +166,7 @@ def status(wanted: list[Run]) -> pd.DataFrame:
         recent = episodes.tail(PACE_GAMES)
         rows.append(
             {
-                "experiment": _title(run),
+                "experiment": run.title,
                 "agent": run.agent,
                 "seed": run.seed,
                 "state": state,
@@ -82,14 +174,15 @@ def status(wanted: list[Run]) -> pd.DataFrame:
                 "episodes": run.params.episodes,
                 "score": recent.score.mean() if len(episodes) else np.nan,
                 "game": run.params.game,
+                "longest": run.params.max_game_frames,
                 "pace": np.nan if stale else _pace(run),
             }
         )
     table = pd.DataFrame(rows)
-    pace = table.pace.fillna(table.groupby("game").pace.transform("mean"))
+    pace = table.pace.fillna(table.groupby(["game", "longest"]).pace.transform("mean"))
     table["hours_left"] = (table.episodes - table.games).clip(lower=0) * pace / 3600
     table.loc[table.state == COMPLETE, "hours_left"] = 0.0
-    return table.drop(columns=["game", "pace"])
+    return table.drop(columns=["game", "longest", "pace"])
 
 
 def _said(run: Run) -> str:
@@ -104,11 +197,6 @@ def _said(run: Run) -> str:
     return state
 
 
-def _title(run: Run) -> str:
-    experiment = run.params.experiment.partition("+")[0]
-    return f"{experiment}: {run.variation}" if run.variation else experiment
-
-
 def _pace(run: Run) -> float:
     """Seconds a game took of late; nan if too few have been played to tell."""
     timing = read_table([run], "timing.csv").tail(PACE_GAMES + 1)
@@ -121,10 +209,23 @@ def summary(table: pd.DataFrame) -> str:
     """The totals of a `status` table in one line."""
     states = table.state.str.split().str[0].value_counts()  # "waiting for ..." is one
     done, all_games = table[["games", "episodes"]].min(axis=1).sum(), table.episodes.sum()
-    hours, unknown = table.hours_left.sum(), table.hours_left.isna().sum()
-    left = f"{hours:,.1f} core-hours left"
-    if unknown:
-        left += f", and {unknown} runs whose pace is not known yet"
     listed = ", ".join(f"{count} {state}" for state, count in states.items())
     share = f"{done:,} of {all_games:,} games ({done / all_games:.0%})"
-    return f"{len(table)} runs: {listed}; {share}; about {left}"
+    return f"{_count(len(table))}: {listed}; {share}; {_left(table)}"
+
+
+def _left(table: pd.DataFrame) -> str:
+    unknown, known = table[table.hours_left.isna()], table[table.hours_left > 0]
+    if unknown.empty and known.empty:
+        return "nothing left to train"
+    if known.empty:
+        return "how long it takes shows when the first games have been played"
+    hours = f"about {known.hours_left.sum():,.1f} core-hours left"
+    if unknown.empty:
+        return hours
+    whose = _count(len(unknown), "other run")
+    return f"{hours}, and {whose} whose pace is not known yet"
+
+
+def _count(number: int, what: str = "run") -> str:
+    return f"{number} {what}{'s' * (number != 1)}"

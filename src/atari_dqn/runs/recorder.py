@@ -29,10 +29,10 @@ from atari_dqn.evaluation import ValueCheck
 from atari_dqn.native import NativeLearner
 from atari_dqn.params import TRAINING_VERSION
 from atari_dqn.runs import checkpoints, records
-from atari_dqn.runs.evaluations import evaluations_lock, store_evaluation
-from atari_dqn.runs.files import RunError, write_atomically
+from atari_dqn.runs.evaluations import store_evaluation
+from atari_dqn.runs.files import RunError, evaluations_lock, write_atomically
 from atari_dqn.runs.models import initial_weights, load_model, model_bytes
-from atari_dqn.runs.run import COMPLETE, FAILED, INTERRUPTED, RUNNING, STALE, Run
+from atari_dqn.runs.run import COMPLETE, FAILED, INTERRUPTED, RESTART, RUNNING, STALE, Run
 from atari_dqn.runs.value_checks import ValueChecks
 from atari_dqn.training import Episode, Trainer, prepare_process
 
@@ -47,15 +47,18 @@ LOGS = {
 
 def train(
     run: Run,
-    position: int = 0,
+    position: int | None = 0,
     asked_to_stop: Callable[[], bool] | None = None,
     patience: float = 1.0,
+    follow: Callable[[], None] = lambda: None,
 ) -> str:
     """Trains a run to its end, resuming it if it was interrupted; returns what happened.
 
     SIGTERM and Ctrl-C (outside the main thread, where no signal arrives: `asked_to_stop`) save a
     checkpoint, leave the run `interrupted` and raise KeyboardInterrupt. `position` is the progress
-    bar's line; `patience` the seconds to wait for a process that is about to let the run go.
+    bar's line, None for no bar; `patience` the seconds to wait for a process that is about to let
+    the run go; `follow` is called when the tables are as of the checkpoint, after every game, those
+    of the final evaluation too, and at the end.
     Raises RunError if the stored run does not match.
     """
     prepare_process()
@@ -64,18 +67,20 @@ def train(
         if before == STALE:
             raise RunError(
                 f"{run.folder} holds a run that no longer matches: {'; '.join(run.changes())}; "
-                "--restart keeps it elsewhere and begins again"
+                f"{RESTART}"
             )
         if before == COMPLETE:
+            follow()
             return f"{run.name} is complete: {run.status()['episodes_done']} games"
         recorder = Recorder(run)
         if recorder.episodes:
             tqdm.write(f"{run.name} continues after {recorder.episodes} games")
         try:
-            with _stop_signals() as signalled:
+            with stop_signals() as signalled:
                 stopped = asked_to_stop or signalled
-                _play_and_learn(recorder, stopped, position)
-                recorder.finish(stopped)
+                follow()
+                _play_and_learn(recorder, stopped, position, follow)
+                recorder.finish(stopped, position, follow)
         except KeyboardInterrupt:
             recorder.write_provenance()
             recorder.write_status(INTERRUPTED)
@@ -86,10 +91,16 @@ def train(
             raise
         finally:
             recorder.close()
+        follow()
         return f"{run.name} is complete: {recorder.episodes} games"
 
 
-def _play_and_learn(recorder: "Recorder", stopped: Callable[[], bool], position: int) -> None:
+def _play_and_learn(
+    recorder: "Recorder",
+    stopped: Callable[[], bool],
+    position: int | None,
+    follow: Callable[[], None],
+) -> None:
     """Trains until the last game; leaves a checkpoint of the end."""
     run = recorder.run
     if recorder.episodes >= run.params.episodes:
@@ -100,12 +111,14 @@ def _play_and_learn(recorder: "Recorder", stopped: Callable[[], bool], position:
         desc=run.name,
         unit="game",
         position=position,
+        disable=position is None,
         mininterval=2,
         dynamic_ncols=True,
     ) as bar:
         for episode in recorder.trainer.run():
             if episode is not None:
                 recorder.log(episode)
+                follow()
                 bar.update()
             done = recorder.episodes >= run.params.episodes
             stop = stopped()
@@ -182,7 +195,7 @@ class Recorder:
         if games > 0:
             raise RunError(
                 f"{self.run.folder} holds {games} games, but their checkpoint is not in "
-                f"{self.run.state_folder}; --restart keeps them elsewhere and begins again"
+                f"{self.run.state_folder}; {RESTART}"
             )
 
     def _compare_sessions(self) -> None:
@@ -295,7 +308,9 @@ class Recorder:
         checkpoints.save(self.run.state_folder, state)
         self.saved_at = self.now()
 
-    def finish(self, stopped: Callable[[], bool]) -> None:
+    def finish(
+        self, stopped: Callable[[], bool], position: int | None, follow: Callable[[], None]
+    ) -> None:
         """Publishes the model, plays the final evaluation and marks the run complete."""
         folder, parameters = self.run.folder, self.run.params
         if not self.trainer.learner.updates:
@@ -307,15 +322,21 @@ class Recorder:
             )
         path = self.publish()
         player = evaluation.player_of(load_model(path, parameters), parameters)
-        settings, games = evaluation.conditions(parameters), parameters.evaluation_games
+        settings, games = params.conditions(parameters), parameters.evaluation_games
         played = []
         with tqdm(
-            total=len(settings) * games, desc="evaluating", leave=False, mininterval=2
+            total=len(settings) * games,
+            desc="evaluating",
+            leave=False,
+            position=position,
+            disable=position is None,
+            mininterval=2,
         ) as bar:
             for setting in settings:
                 for game in evaluation.play(player, setting, games, self.run.seed):
                     played.append(game)
                     bar.update()
+                    follow()
                     if stopped():
                         raise KeyboardInterrupt
         store_evaluation(folder, played, self.episodes)
@@ -386,7 +407,7 @@ def peak_memory() -> int:
 
 
 @contextmanager
-def _stop_signals() -> Iterator[Callable[[], bool]]:
+def stop_signals() -> Iterator[Callable[[], bool]]:
     """Turns SIGTERM and Ctrl-C into a flag, so that a step is never cut in two."""
     received: list[int] = []
     if threading.current_thread() is not threading.main_thread():

@@ -15,6 +15,7 @@ in the end there is one for every hundred games, which is smaller.
 two as hexadecimal text.
 """
 
+import hashlib
 import json
 from collections.abc import Iterator
 from pathlib import Path
@@ -149,6 +150,11 @@ def read_file(folder: Path, torn: bool = False) -> list[Game]:
         if not torn:
             raise
     return games
+
+
+def digest(record: EpisodeRecord) -> str:
+    """Eight hexadecimal digits that tell an episode from others."""
+    return hashlib.sha256(bytes([record.idle_frames]) + bytes(record.actions)).hexdigest()[:8]
 
 
 def settings(params: Parameters, heading: Heading) -> Parameters:

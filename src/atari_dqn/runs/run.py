@@ -14,6 +14,7 @@
         snapshots/          the same after the games that `snapshot_games` names
         status.json         state, episodes_done, episodes
         provenance.json     commit, versions, processor, wall-clock, resumes
+        tensorboard/        what TensorBoard shows of all this, if it was asked for; no result
 
 Checkpoints are working state and live elsewhere (`state_folder`); they hold the logs too, so that
 a run resumes even where its folder was lost.
@@ -26,9 +27,8 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import pandas as pd
 from filelock import FileLock, Timeout
 
 from atari_dqn import params
@@ -36,8 +36,12 @@ from atari_dqn.params import TRAINING_VERSION, Parameters
 from atari_dqn.runs import checkpoints
 from atari_dqn.runs.files import RunError
 
+if TYPE_CHECKING:  # it takes half a second to import
+    import pandas as pd
+
 COMPLETE, RUNNING, INTERRUPTED, FAILED = "complete", "running", "interrupted", "failed"
 MISSING, STALE = "missing", "stale"
+RESTART = "--restart (make: RESTART=1) begins again, and keeps what is stored in a folder beside"
 
 
 @dataclass(frozen=True)
@@ -46,7 +50,7 @@ class Run:
 
     params: Parameters
     results: Path
-    variation: str = ""  # its label among its experiment's variations, if it is one
+    variation: str = ""  # what it changes of its experiment, if it does
 
     @property
     def agent(self) -> str:
@@ -59,6 +63,16 @@ class Run:
     @property
     def name(self) -> str:
         return f"{self.params.experiment}/{self.agent}/seed-{self.seed}"
+
+    @property
+    def experiment(self) -> str:
+        """The name of the experiment that it is of, or that it changes."""
+        return self.params.experiment.partition("+")[0]
+
+    @property
+    def title(self) -> str:
+        """The experiment's name for people: "boxing_final", "boxing_final: gamma 0.5"."""
+        return f"{self.experiment}: {self.variation}" if self.variation else self.experiment
 
     @property
     def folder(self) -> Path:
@@ -219,9 +233,11 @@ def runs_of(parameters: Parameters, results: Path) -> list[Run]:
     ]
 
 
-def read_table(runs: list[Run], name: str) -> pd.DataFrame:
+def read_table(runs: list[Run], name: str) -> "pd.DataFrame":
     """One table of all runs' `name` (episodes.csv, ...), with experiment, variation, agent and
     seed."""
+    import pandas as pd
+
     tables = [
         pd.read_csv(run.folder / name).assign(
             experiment=run.params.experiment,

@@ -15,7 +15,7 @@ from atari_dqn.params import ParameterError
 from atari_dqn.runs import recorder
 from atari_dqn.runs.files import RunError
 from atari_dqn.runs.plan import DAMAGED
-from atari_dqn.runs.run import COMPLETE, MISSING, STALE, Run
+from atari_dqn.runs.run import COMPLETE, MISSING, RESTART, STALE, Run
 
 KNOWN = (RunError, ParameterError)  # whose messages say what to do
 
@@ -37,7 +37,7 @@ def startable(wanted: list[Run]) -> tuple[list[Run], list[str]]:
         if state == STALE:
             failures.append(
                 f"{run.folder} holds a run that no longer matches: {'; '.join(run.changes())}; "
-                "--restart keeps it elsewhere and begins again"
+                f"{RESTART}"
             )
         elif source is not None and state == MISSING and begins_with == STALE:
             failures.append(f"{run.name} starts from {source.name}, which is stale")

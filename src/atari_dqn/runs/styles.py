@@ -1,7 +1,6 @@
 """How an agent boxes along its training: the greedy episodes of its checks, played again from their
 records."""
 
-import hashlib
 from dataclasses import astuple, dataclass, fields
 
 import numpy as np
@@ -58,16 +57,12 @@ def measure(run: Run) -> None:
     rows = []
     try:
         for heading, record in tqdm(greedy, desc=f"styles of {run.name}", mininterval=2):
-            key = (heading["episode"], heading["game"], _digest(record))
+            key = (heading["episode"], heading["game"], records.digest(record))
             rows.append(known.get(key) or astuple(_style(run.params, *key, record)))
     finally:  # an interruption costs no more than the episode that was being played
         table = pd.DataFrame(rows, columns=[field.name for field in fields(Style)])
         run.styles.parent.mkdir(parents=True, exist_ok=True)
         write_atomically(run.styles, table.to_csv(index=False).encode())
-
-
-def _digest(record: EpisodeRecord) -> str:
-    return hashlib.sha256(bytes([record.idle_frames]) + bytes(record.actions)).hexdigest()[:8]
 
 
 def _style(
