@@ -29,6 +29,7 @@ from atari_dqn.analysis.verdicts import (
 )
 
 EARLY = 500  # episodes, before which an agent still acts mostly at random
+BEST = 100  # points of a game of Boxing: a knock-out, and nothing conceded
 RECENT = 100  # episodes, of which the score of a run in progress is the mean
 UNJUDGED = [*Outcome.OPEN.value, *Outcome.UNTESTED.value]
 
@@ -103,17 +104,35 @@ def headline(study: Study) -> str:
         played, planned = _played(study)
         text = f"Training has only begun: {played:,} of {planned:,} planned games are played."
     else:
-        text = (
-            f"Mean scores over {found.episodes} of Boxing: {found.listed} (a human "
-            f"{section.facts.human:g}, random play {section.facts.random:g})."
-        )
+        text = _scored(section, found)
     testable, judged = _judged(verdicts)
-    claims = f"{testable} claims of the source report that runs can judge"
+    claims = f"The source report makes {testable} claims that can be tested by training"
     if judged.empty:
-        return f"**{text}** Of {claims}, none is judged yet."
-    counted = ", ".join(f"{number} \u201c{word}\u201d" for word, number in judged.items())
-    so_far = " so far" if judged.sum() < testable else ""
-    return f"**{text}** Of {claims}, {judged.sum()} are judged{so_far} ({counted})."
+        claims += "; none has been decided yet."
+    else:
+        counted = ", ".join(f"{number} \u201c{word}\u201d" for word, number in judged.items())
+        verb = "has" if judged.sum() == 1 else "have"
+        so_far = " so far" if judged.sum() < testable else ""
+        claims += f"; {judged.sum()} {verb} been decided{so_far} ({counted})."
+    return " ".join(filter(None, (f"**{text}**", beside_source(section), claims)))
+
+
+def _scored(section: Section, found: Standings) -> str:
+    """What the agents of an experiment score, between the best, a human and random play."""
+    planned, facts = len(section.params.agents), section.facts
+    trained, few = len(found.means), len(found.means) < planned
+    verb = "has" if trained == 1 else "have"
+    text = f"So far {trained} of the {planned} agents {verb} been trained. " * few
+    (best, top), *others = found.means.items()
+    said = [f"{best} scores {top:.1f} points per game"]
+    said += [f"{agent} {mean:.1f}" for agent, mean in others]
+    listed = " and ".join(filter(None, (", ".join(said[:-1]), said[-1])))
+    each = " each" * bool(others)
+    return (
+        f"{text}After {found.last:,} games of {facts.title}{each}, {listed} (mean of the last "
+        f"{found.last - found.first + 1} games; best possible {BEST}; one human tester "
+        f"{facts.human:g}; random play {facts.random:g})."
+    )
 
 
 def _judged(verdicts: pd.Series) -> tuple[int, pd.Series]:
@@ -317,7 +336,7 @@ def reading(study: Study, experiment: str) -> str:
     if waiting:
         noun, verb = ("Claims", "are") if len(waiting) > 1 else ("Claim", "is")
         lines.append(f"- {noun} {', '.join(waiting)} of @tbl-findings {verb} still open.")
-    head = "**What was found:**" if section.complete else "**What was found so far:**"
+    head = "**Findings:**" if section.complete else "**Findings so far:**"
     return f"{head}\n\n" + "\n".join(lines)
 
 
@@ -457,7 +476,7 @@ OBJECTIVES = {
 
 
 def objectives() -> pd.DataFrame:
-    """The source report's six learning objectives, and the sections that serve them."""
+    """The source report's six learning objectives, and the sections that address them."""
     return pd.DataFrame(
-        {"objective": OBJECTIVES.keys(), "where this study serves it": OBJECTIVES.values()}
+        {"objective": OBJECTIVES.keys(), "where this study addresses it": OBJECTIVES.values()}
     )
