@@ -54,7 +54,7 @@ def test_differences_list_what_an_experiment_changes_and_nothing_else():
     assert table["`boxing_final`"] == "–"
     assert table["`boxing_expert`"] == "`difficulty` 3"
     assert table["`breakout_late`"] == "`game` breakout; `epsilon_floor` 0.1"
-    assert "batch size x 2" in table["`boxing_sensitivity`"]
+    assert "batch size × 2" in table["`boxing_sensitivity`"]
 
 
 def test_exploration_is_told_with_the_games_until_its_floor():

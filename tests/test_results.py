@@ -146,8 +146,8 @@ def test_a_sweep_has_a_row_a_variation_beside_the_same_games_of_the_unchanged_se
     ]
     assert found == [
         ("unchanged", "500", "5.0", "8.0", "–"),
-        ("learning rate x 4", "500", "5.0", "3.0", "13.0"),
-        ("batch size x 2", "200", "2.0", "1.0", "–"),
+        ("learning rate × 4", "500", "5.0", "3.0", "13.0"),
+        ("batch size × 2", "200", "2.0", "1.0", "–"),
         ("raw rewards", "500", "5.0", "-5.0", "5.0"),
     ]
     for row in rows:

@@ -47,6 +47,13 @@ def data(name: str) -> Any:
     return YAML(typ="safe", pure=True).load(path.read_text(encoding="utf-8"))
 
 
+def spelled(variation: str) -> str:
+    """A variation's label as a reader expects it: "learning rate × ¼"."""
+    for plain, sign in {" x ": " × ", "1/4": "¼", "1/2": "½"}.items():
+        variation = variation.replace(plain, sign)
+    return variation
+
+
 class Section:
     """The runs that one section of the report is about.
 
@@ -94,7 +101,7 @@ class Section:
         ]:
             delattr(part, name)
         part.runs = [run for run in self.runs if run.variation == variation]
-        part.name = f"{self.name} ({variation})"
+        part.name = f"{self.name} ({spelled(variation)})"
         return part
 
     @cached_property
@@ -302,7 +309,8 @@ def run_table(study: Study) -> pd.DataFrame:
         training = state in (RUNNING, INTERRUPTED)
         rows.append(
             {
-                "experiment": f"`{experiment}`" + (f": {run.variation}" if run.variation else ""),
+                "experiment": f"`{experiment}`"
+                + (f": {spelled(run.variation)}" if run.variation else ""),
                 "agent": params.title(run.agent),
                 "seed": run.seed,
                 "state": "unfinished" if training else state,

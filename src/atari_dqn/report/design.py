@@ -12,7 +12,7 @@ from torch import nn
 
 from atari_dqn import params
 from atari_dqn.agents import AGENTS
-from atari_dqn.analysis.study import data
+from atari_dqn.analysis.study import data, spelled
 from atari_dqn.envs import AtariEnv
 from atari_dqn.games import GAMES
 from atari_dqn.params import Parameters
@@ -111,7 +111,7 @@ def units(p: Parameters) -> pd.DataFrame:
         {
             "unit": unit,
             "is": meaning,
-            "in a full game of Boxing": _rounded(count),
+            "in a full game of Boxing": f"{count:,.0f}",
             all_games: _rounded(count * p.episodes),
         }
         for unit, meaning, count in rows
@@ -164,7 +164,9 @@ def differences(of: list[Parameters]) -> pd.DataFrame:
             for key in Parameters.model_fields
             if key not in params.NOT_TRAINING and getattr(item, key) != getattr(first, key)
         ]
-        different += [f"variations: {'; '.join(item.variations)}"] * bool(item.variations)
+        different += [f"variations: {'; '.join(map(spelled, item.variations))}"] * bool(
+            item.variations
+        )
         rows.append(
             {
                 "experiment": f"`{item.experiment}`",
@@ -179,6 +181,8 @@ def differences(of: list[Parameters]) -> pd.DataFrame:
 
 
 def _text(value: object) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
     if isinstance(value, float):
         return f"{value:g}"
     return f"{value:,}" if type(value) is int else str(value)

@@ -8,7 +8,7 @@ import pandas as pd
 from atari_dqn import params
 from atari_dqn.analysis import summaries
 from atari_dqn.analysis.statistics import MILESTONES, interval, scores_at_milestones
-from atari_dqn.analysis.study import Section, data
+from atari_dqn.analysis.study import Section, data, spelled
 from atari_dqn.params import HELD_OUT_STATES, VALUE_GAMES, VALUES_PERIOD
 from atari_dqn.report import plots
 from atari_dqn.report.interactive import switches
@@ -313,7 +313,7 @@ def show_variations(section: Section, reference: Section, agent: str) -> None:
     greedy = {} if evaluated.empty else evaluated.groupby("variation").score.mean().to_dict()
     rows = [
         {
-            "variation": name,
+            "variation": spelled(str(name)),
             "games": int(found.episode.max()),
             "hours": found.seconds.max() / 3600,
             f"mean of the last {window} games": found.score.mean(),
