@@ -228,6 +228,8 @@ def test_buttons_switch_curves_and_their_values_by_keyboard(page):
         "source report",
         "Dopamine",
     ]
+    marks = browser(f"{buttons}.map((one) => one.dataset.marks || '')")
+    assert marks == ["", "", "○", "□"], "what is a line in the picture has the colour of one"
     source = "document.querySelector('#fig-curves img').src"
     before = browser(source)
     browser(f"{buttons}[0].focus()")

@@ -97,7 +97,7 @@ def units(p: Parameters) -> pd.DataFrame:
     assert frames is not None
     steps = frames / p.frame_skip
     rows = [
-        ("frame", "a picture of the emulator, 1/60 s", frames),
+        ("frame", "a picture of the emulator, 1/60\u00a0s", frames),
         ("agent step", f"a decision; {p.frame_skip} frames", steps),
         (
             "update",

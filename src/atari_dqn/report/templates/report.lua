@@ -19,8 +19,21 @@ end
 
 local function quoted(text) return '"' .. text:gsub("\\", "\\\\"):gsub('"', '\\"') .. '"' end
 
+-- "84 × 84" stays on one line.
+local function times(inlines)
+  for place, inline in ipairs(inlines) do
+    if inline.t == "Str" and inline.text == "×" then
+      for _, beside in ipairs({ place - 1, place + 1 }) do
+        if inlines[beside] and inlines[beside].t == "Space" then inlines[beside] = pandoc.Str("\u{a0}") end
+      end
+    end
+  end
+  return inlines
+end
+
 -- A browser may break a line between a formula and its comma.
 local function glue(inlines)
+  inlines = times(inlines)
   local result, open = {}, nil
   for _, inline in ipairs(inlines) do
     local formula = inline.t == "Math" and inline.mathtype == "InlineMath"
@@ -154,7 +167,7 @@ end
 
 local first = { Str = minus, Span = span, Div = division, Pandoc = document }
 if paper then
-  first.Figure, first.Table, first.CodeBlock = figure, short_table, listing
+  first.Figure, first.Table, first.CodeBlock, first.Inlines = figure, short_table, listing, times
 else
   first.Inlines = glue
 end
