@@ -437,3 +437,11 @@ def test_what_random_play_is_given_by_a_difficulty_is_told_when_both_are_measure
     assert found[1] < 6.5 < found[2]
     assert "higher" in summaries.head_start(study(tmp_path), *pair)
     assert "lower" in summaries.head_start(study(tmp_path), *reversed(pair))
+
+
+def test_how_long_an_agent_trains_is_told_of_each_run_that_there_is(tmp_path):
+    assert summaries.duration(study(tmp_path)["boxing_final"]) == ""
+    store(tmp_path, "boxing_final", DQN, np.zeros(3000))
+    store(tmp_path, "boxing_final", DOUBLE, np.zeros(250))
+    said = summaries.duration(study(tmp_path)["boxing_final"])
+    assert facts(said) == [3000, "DQN", 3000, 30.0, "Double DQN", 250, 2.5]

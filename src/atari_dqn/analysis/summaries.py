@@ -182,6 +182,23 @@ def conclusion(study: Study) -> str:
     return "\n\n".join(said)
 
 
+def duration(section: Section) -> str:
+    """How many games an experiment's agents are trained for, and the hours they have taken; empty
+    without runs."""
+    if section.episodes.empty:
+        return ""
+    last = section.episodes.groupby(["agent", "seed"], sort=False).tail(1)
+    said = [
+        f"{params.title(str(row.agent))}'s first {row.episode:,} took "
+        f"{row.seconds / 3600:.1f} hours"
+        for row in last.itertuples()
+    ]
+    return (
+        f"An agent is trained for {section.params.episodes:,} games, the source report's number. "
+        f"On one processor core each, in {section.facts.title}, {' and '.join(said)}."
+    )
+
+
 def over_seeds(study: Study) -> str:
     """A sentence on the agents' final scores in both games over all seeds: interquartile means with
     stratified bootstrap intervals (Agarwal et al., 2021). Empty with fewer than three seeds, or

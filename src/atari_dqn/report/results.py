@@ -329,7 +329,7 @@ def show_variations(section: Section, reference: Section, agent: str) -> None:
     show_table(
         pd.DataFrame(rows),
         label=table,
-        caption=f"{section.title}: hours by the clock on "
+        caption=f"{section.title}: wall-clock hours on "
         "one core, training scores with exploration, and the mean of the greedy games of a "
         "finished run. Intervals are over games of one run (bootstrap), not over seeds.",
         decimals=1,
