@@ -118,7 +118,8 @@ def test_our_speed_is_told_with_how_many_times_the_fastest_peers_it_is(folder, s
     measured().to_csv(folder / "throughput.csv", index=False)
     cost.show_throughput()
     speed, cores = shown.texts
-    # speed and its range, times SB3 and its range, operations, limit over SB3's speed, share of it, "100%", of our own
+    # speed and its range, times SB3 and its range, operations,
+    # limit over SB3's speed, share of it, "100%", of our own
     assert numbers(speed.replace("SB3", "")) == [
         180,
         175,

@@ -17,6 +17,7 @@ from atari_dqn.envs import AtariEnv
 from atari_dqn.games import GAMES
 from atari_dqn.params import Parameters
 from atari_dqn.replay import PIXELS, ImageCodec
+from atari_dqn.runs.files import project_root
 
 RARE = {
     *("warmup_games", "warmup_learning_rate", "initial_weights", "freeze_convolutions"),
@@ -73,10 +74,25 @@ def memory_text(images: int = 2000) -> str:
     million = {name: size * 1e6 / 1e9 for name, size in sizes.items()}
     return (
         f"Measured on {images:,} images of random play, an image of {PIXELS:,} bytes takes "
-        f"{measured} on average: a million of them fit in "
+        f"{measured} on average: a million of them would take "
         + " and ".join(f"{size:.2f} GB" for size in million.values())
         + "."
+        + _full_memory()
     )
+
+
+def _full_memory() -> str:
+    """What full memories were measured to hold, with what they keep beside the images; empty where
+    that has not been measured."""
+    path = project_root() / "results" / "benchmarks" / "memory.csv"
+    if not path.exists():
+        return ""
+    last = pd.read_csv(path).groupby("game").tail(1)
+    held = " and ".join(
+        f"{row.resident_megabytes / 1000:.2f} GB in {GAMES[row.game].title}"
+        for row in last.itertuples()
+    )
+    return f" A memory of {last.transitions.max():,} transitions was measured to hold {held}."
 
 
 def exploration_text(p: Parameters) -> str:
