@@ -221,7 +221,10 @@ def _published_points(axes: Axes, published: dict[str, Any], reach: float) -> No
             handles += axes.plot(*zip(*at, strict=True), **how)
             named(handles[-1], PUBLISHED, value=f"{name}, {PUBLISHED}")
     if handles:
-        axes.legend(handles=handles, fontsize="x-small", loc="best", handletextpad=0.2)
+        axes.legend(  # outside, where it hides no curve
+            handles=handles, fontsize="x-small", loc="lower left", bbox_to_anchor=(-0.02, 0.98),
+            ncols=len(handles), handletextpad=0.1, columnspacing=1,
+        )  # fmt: skip
 
 
 def references(axes: Axes, facts: GameFacts, labelled: bool, upright: bool = False) -> None:
