@@ -153,6 +153,7 @@ def made(tmp_path_factory):
         new_markdown_cell("What was *found*.", metadata={"tags": ["abstract"]}),
         new_markdown_cell(TEXT),
         *(new_code_cell("show()", outputs=[one]) for one in [*shown, video("vid-second")]),
+        new_markdown_cell("[]{#fig-later .absent}"),
         new_markdown_cell(APPENDIX),
     ]
     nbformat.write(new_notebook(cells=cells), folder / "00_small.ipynb")
@@ -500,6 +501,11 @@ def test_equations_are_numbered_on_paper_as_on_the_page(made):
         "e => (str(e.label), numbering(e.numbering, ..counter(math.equation).at(e.location()))))",
     )
     assert numbers == [["eq-long", "(1)"], ["eq-short", "(2)"]]
+
+
+def test_a_held_place_takes_no_label_from_what_stands_before_it(made):
+    kinds = asked(made, "(query(<vid-second>).first(), query(<fig-later>).first())")
+    assert [one["func"] for one in kinds] == ["figure", "metadata"]
 
 
 def test_appendices_are_lettered_in_both_media(made, html):

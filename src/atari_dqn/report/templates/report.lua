@@ -52,6 +52,9 @@ end
 
 local function span(element)
   if has(element, paper and "page" or "paper") then return {} end -- meant for the other medium
+  if paper and has(element, "absent") then -- a bare label would be that of what stands before it
+    return pandoc.RawInline("typst", "#metadata(none) <" .. element.identifier .. ">")
+  end
   if not has(element, "equation") then return nil end
   if paper then
     return { pandoc.RawInline("typst", "#numbered["), element, pandoc.RawInline("typst", "]") }
