@@ -245,23 +245,36 @@ def head_start(study: Study, experiment: str, base: str) -> str:
 def board(study: Study) -> str:
     """The verdicts at a glance: a division of class `board` with one of class `tile` per claim,
     and of its verdict's class. Claims of which there is nothing to see yet share a line below."""
-    tiles, others = [], dict[Outcome, list[str]]()
+    tiles, others = [], dict[Outcome, list[int]]()
     for number, claim in enumerate(FINDINGS, start=1):
         found, scores = claim.judge(study), _numbers(study, claim)
         if found.verdict in UNJUDGED and not (scores and PENDING not in scores):
-            others.setdefault(found.outcome, []).append(str(number))
+            others.setdefault(found.outcome, []).append(number)
             continue
         lines = [f"**{number}** {claim.short}.", scores, f"@{claim.section}"]
         kind = f'.{found.outcome.name.lower()} verdict="{found.verdict}"'
         tiles.append(f"::: {{.tile {kind}}}\n" + "\n\n".join(filter(None, lines)) + "\n:::")
     said = "; ".join(
-        f"{word}: {', '.join(others[outcome])}"
+        f"{word}: {_listed(others[outcome])}"
         for outcome, word in ((Outcome.OPEN, "still open"), (Outcome.UNTESTED, "not tested"))
         if outcome in others
     )
     board = "::: {.board}\n" + "\n\n".join(tiles) + "\n:::" if tiles else ""
     rest = f"Claims of @tbl-findings {said}." if said else ""
     return "\n\n".join(filter(None, (board, rest)))
+
+
+def _listed(numbers: list[int]) -> str:
+    """Rising numbers in words: "1, 3 to 5"; two in a row are no range."""
+    parts: list[list[int]] = []
+    for number in numbers:
+        if parts and number == parts[-1][-1] + 1:
+            parts[-1].append(number)
+        else:
+            parts.append([number])
+    return ", ".join(
+        f"{part[0]} to {part[-1]}" if len(part) > 2 else ", ".join(map(str, part)) for part in parts
+    )
 
 
 PENDING = "Ours: pending"
@@ -336,7 +349,7 @@ def reading(study: Study, experiment: str) -> str:
             lines.append(f"- {params.title(str(agent))}{seeds}{said}.")
         if beside := beside_source(section):
             lines.append(f"- {beside}")
-    waiting: list[str] = []
+    waiting: list[int] = []
     untested: list[str] = []
     for number, claim in enumerate(FINDINGS, start=1):
         if experiment not in claim.experiments:
@@ -344,7 +357,7 @@ def reading(study: Study, experiment: str) -> str:
         found = claim.judge(study)
         said = f"- *{found.verdict.capitalize()}*: claim {number}, {claim.text}. ({found.evidence})"
         if found.outcome == Outcome.OPEN:
-            waiting.append(str(number))
+            waiting.append(number)
         else:
             (untested if found.outcome == Outcome.UNTESTED else lines).append(said)
     if not lines:
@@ -352,7 +365,7 @@ def reading(study: Study, experiment: str) -> str:
     lines += untested
     if waiting:
         noun, verb = ("Claims", "are") if len(waiting) > 1 else ("Claim", "is")
-        lines.append(f"- {noun} {', '.join(waiting)} of @tbl-findings {verb} still open.")
+        lines.append(f"- {noun} {_listed(waiting)} of @tbl-findings {verb} still open.")
     head = "**Findings:**" if section.complete else "**Findings so far:**"
     return f"{head}\n\n" + "\n".join(lines)
 

@@ -48,14 +48,18 @@ def described(figure: Figure) -> dict[str, Any] | None:
 
 
 def switches(figure: Figure) -> dict[str, str]:
-    """The names of what a figure's switches turn off and on, each with a colour."""
+    """The names of what a figure's switches turn off and on, each with the colour of its lines;
+    of several colours, with that of none."""
     colours: dict[str, str] = {}
+    seen: dict[str, set[str]] = {}
     for artist in _of(figure):
         *names, _ = str(artist.get_gid()).split("/")
         for name in names:
             colours.setdefault(name, to_hex(BESIDE))
         if len(names) == 1 and isinstance(artist, Line2D):
-            colours[names[0]] = to_hex(artist.get_color())
+            own = seen.setdefault(names[0], set())
+            own.add(to_hex(artist.get_color()))
+            colours[names[0]] = next(iter(own)) if len(own) == 1 else to_hex(BESIDE)
     return colours
 
 

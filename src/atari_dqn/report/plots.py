@@ -221,8 +221,9 @@ def _published_points(axes: Axes, published: dict[str, Any], reach: float) -> No
             handles += axes.plot(*zip(*at, strict=True), **how)
             named(handles[-1], PUBLISHED, value=f"{name}, {PUBLISHED}")
     if handles:
+        names = [str(handle.get_label()).partition(f", {PUBLISHED}")[0] for handle in handles]
         axes.legend(  # outside, where it hides no curve
-            handles=handles, fontsize="x-small", loc="lower left", bbox_to_anchor=(-0.02, 0.98),
+            handles, names, fontsize="x-small", loc="lower left", bbox_to_anchor=(-0.02, 0.98),
             ncols=len(handles), handletextpad=0.1, columnspacing=1,
         )  # fmt: skip
 
