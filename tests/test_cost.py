@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pandas as pd
 import pytest
-from synthetic import AGENTS, numbers, store, study
+from synthetic import AGENTS, SECONDS, STEPS, numbers, store, study
 
 from atari_dqn.analysis import study as analysis
 from atari_dqn.analysis.study import Section
@@ -38,14 +38,16 @@ def test_hours_are_summed_over_all_stored_runs(tmp_path, shown):
     store(tmp_path, "boxing_final", DQN, np.zeros(3000), sessions=sessions)
     store(tmp_path, "boxing_final", DOUBLE, np.zeros(250))
     store(tmp_path, "boxing_sensitivity", DUELING, np.zeros(100), variation="raw rewards")
+    pace = [round(STEPS / SECONDS), round(STEPS / (SECONDS / 9))]  # agent steps per second
     cost.show_hours(study(tmp_path))
-    assert numbers(shown.texts[-1]) == [3, 33.5, 1.5], "runs, hours, GB"
+    assert numbers(shown.texts[-1]) == [3, 33.5, 1.5, *pace], "runs, hours, GB"
     store(tmp_path, "breakout_early", DQN, np.zeros(6999))
     cost.show_hours(study(tmp_path))
-    assert numbers(shown.texts[-1]) == [4, 103.5, 1.5]
+    assert numbers(shown.texts[-1]) == [4, 103.5, 1.5, *pace]
     store(tmp_path, "breakout_early", DQN, np.zeros(7000))
     cost.show_hours(study(tmp_path))
-    assert numbers(shown.texts[-1]) == [4, 103.5, 1.5, 7000, 70.0, 20.5], "and the source report's"
+    told = [4, 103.5, 1.5, *pace, 7000, 70.0, 20.5]
+    assert numbers(shown.texts[-1]) == told, "and the source report's"
 
 
 def test_every_stored_run_has_a_row_with_its_state_games_steps_hours_and_origin(tmp_path):
@@ -116,8 +118,17 @@ def test_our_speed_is_told_with_how_many_times_the_fastest_peers_it_is(folder, s
     measured().to_csv(folder / "throughput.csv", index=False)
     cost.show_throughput()
     speed, cores = shown.texts
-    # speed, times SB3, operations, limit over SB3's speed, share of it, "100%", of our own
-    assert numbers(speed.replace("SB3", "")) == [180, 3.0, 81, 2.5, 120, 100, 60]
+    # speed and its range, times SB3 and its range, operations,
+    # limit over SB3's speed, share of it, "100%", of our own
+    assert numbers(speed.replace("SB3", "")) == [
+        180,
+        175,
+        185,
+        3.0,
+        55,
+        65,
+        *(81, 2.5, 120, 100, 60),
+    ]
     assert numbers(cores) == [2, 1.8, 2, 1.2], "cores, gain of processes, threads, gain of threads"
     bars = shown.figures["fig-throughput"].axes[0]
     assert sorted(bar.get_width() for bar in bars.patches if bar.get_width()) == [

@@ -30,7 +30,7 @@ def boxing(results, means, experiment="boxing_final", first=2501, last=3000):
 def test_the_headline_has_each_agents_mean_the_best_first_beside_a_human_and_random_play(tmp_path):
     text = summaries.headline(boxing(tmp_path, {DQN: 5.0, DOUBLE: 13.0, DUELING: 11.5}))
     ranked = ["Double DQN", 13.0, "Dueling Double DQN", 11.5, "DQN", 5.0]
-    assert facts(text.split("Of 21 claims")[0]) == [2501, 3000, *ranked, 12.1, 0.1]
+    assert facts(text.split("**")[1]) == [3000, *ranked, 500, 100, 12.1, 0.1]
 
 
 def test_a_headline_of_runs_in_progress_compares_the_last_hundred_episodes_that_all_have_played(
@@ -39,8 +39,8 @@ def test_a_headline_of_runs_in_progress_compares_the_last_hundred_episodes_that_
     store(tmp_path, "boxing_final", DQN, window(701, 800, 6.0, FAR, after=100))
     store(tmp_path, "boxing_final", DOUBLE, window(701, 800, 9.0, -FAR, after=0))
     text = summaries.headline(study(tmp_path))
-    expected = [701, 800, "Double DQN", 9.0, "DQN", 6.0, 12.1, 0.1]
-    assert facts(text.split("Of 21")[0]) == expected
+    expected = [2, 3, 800, "Double DQN", 9.0, "DQN", 6.0, 100, 100, 12.1, 0.1]
+    assert facts(text.split("**")[1]) == expected
 
 
 def test_an_agent_has_one_score_wherever_it_is_told(tmp_path):
@@ -77,8 +77,8 @@ def three_true_and_one_false(results):
 
 def test_the_claims_that_are_judged_are_counted_by_verdict(tmp_path):
     stored = three_true_and_one_false(tmp_path)
-    counted = summaries.headline(stored).split("Of 21 claims", 1)[1]
-    assert "4 are judged so far (3 “in these runs: yes”, 1 “in these runs: no”)" in counted
+    counted = summaries.headline(stored).split("The source report makes 21 claims", 1)[1]
+    assert "4 have been decided so far (3 “in these runs: yes”, 1 “in these runs: no”)" in counted
     said = summaries.conclusion(stored)
     (true,) = re.findall(r"\*In these runs: yes\*: (.*)", said)
     (false,) = re.findall(r"\*In these runs: no\*: (.*)", said)
@@ -122,7 +122,8 @@ def test_an_agent_is_past_its_early_games_after_five_hundred(tmp_path):
     store(tmp_path, "boxing_final", DQN, np.full(499, 50.0))
     store(tmp_path, "boxing_final", DOUBLE, np.full(500, 7.0))
     text = summaries.headline(study(tmp_path))
-    assert facts(text.split("Of 21")[0]) == [401, 500, "Double DQN", 7.0, 12.1, 0.1]
+    assert facts(text.split("**")[1]) == [1, 3, 500, "Double DQN", 7.0, 100, 100, 12.1, 0.1]
+    assert "1 of the 3 agents has been trained" in text
 
 
 def lines(text):
@@ -223,7 +224,7 @@ def test_a_reading_tells_where_a_run_stands_and_when_it_passed_the_human_score(t
     passed = int(mean.gt(12.1).idxmax()) + 1
     assert "DQN scores 20.0 points per game over the last 100 of 300 games, with 22% random" in text
     assert f"first passed the human 12.1 after game {passed};" in text
-    assert "Claims 1, 2, 3, 4 of @tbl-findings are still open" in text
+    assert "Claims 1 to 4 of @tbl-findings are still open" in text
 
 
 def test_a_reading_puts_the_source_reports_scores_beside_ours_at_the_last_common_mark(tmp_path):
@@ -248,10 +249,9 @@ def test_an_agent_that_has_just_begun_is_named_and_compared_with_nobody(tmp_path
     store(tmp_path, "boxing_final", "double_dqn", np.full(600, 9.0))
     store(tmp_path, "boxing_final", "dueling_double_dqn", np.full(120, 50.0))
     stored = study(tmp_path)
-    assert (
-        "Mean scores over training games 501 to 600 of Boxing: Double DQN 9.0, DQN 5.0 (a human"
-        in summaries.headline(stored)
-    )
+    headline = summaries.headline(stored)
+    assert "After 600 games of Boxing each, Double DQN scores 9.0 points per game" in headline
+    assert "and DQN 5.0 (mean of the last 100 games" in headline
     said = summaries.conclusion(stored)
     assert "games 501 to 600 are Double DQN 9.0, DQN 5.0, and the human reference is 12.1" in said
     assert "Dueling Double DQN has played only 120 games." in said
@@ -263,7 +263,8 @@ def test_a_second_seed_that_has_just_begun_takes_nothing_from_the_first(tmp_path
     section = stored["boxing_final"]
     second = section.episodes.head(120).assign(seed=2, score=90.0)
     section.__dict__["episodes"] = pd.concat([section.episodes, second])
-    assert "over training games 601 to 700 of Boxing: DQN 5.0 (a" in summaries.headline(stored)
+    headline = summaries.headline(stored)
+    assert "After 700 games of Boxing, DQN scores 5.0 points per game (mean" in headline
 
 
 def test_finished_runs_are_told_of_as_finished(tmp_path):
@@ -272,15 +273,13 @@ def test_finished_runs_are_told_of_as_finished(tmp_path):
         evaluate(run, score=mean)
     stored = study(tmp_path)
     headline = summaries.headline(stored)
-    assert (
-        "over training games 2,501 to 3,000 of Boxing: Double DQN 90.0, Dueling Double DQN 85.0"
-        in headline
-    )
+    said = "After 3,000 games of Boxing each, Double DQN scores 90.0 points per game, Dueling"
+    assert said in headline
     reading = summaries.reading(stored, "boxing_final")
     scored = pd.read_csv(run.folder / "evaluations.csv").score.mean()
     said = f"Evaluated after 3,000 training games, it scored {scored:.1f} (40 greedy games)"
     assert said in reading
-    assert "so far" not in headline.split("Of 21 claims")[0] + reading
+    assert "so far" not in (headline.split("The source report makes")[0] + reading).lower()
 
 
 def test_at_another_difficulty_no_human_score_is_passed(tmp_path):
@@ -313,9 +312,9 @@ def test_the_board_has_a_tile_for_every_claim_that_says_something_and_a_line_for
         for number, claim in enumerate(FINDINGS, start=1)
         if "might have caught" in claim.short or "exploiting too early" in claim.short
     ]
-    waiting = sorted({*range(5, len(FINDINGS) + 1)} - {*untested})
     assert len(untested) == 2
-    listed = [", ".join(map(str, group)) for group in (waiting, untested)]
+    assert untested == [len(FINDINGS) - 1, len(FINDINGS)], "so that the others are in a row"
+    listed = f"5 to {len(FINDINGS) - 2}", ", ".join(map(str, untested))
     assert rest == "Claims of @tbl-findings still open: {}; not tested: {}.".format(*listed)
 
 
@@ -438,3 +437,19 @@ def test_what_random_play_is_given_by_a_difficulty_is_told_when_both_are_measure
     assert found[1] < 6.5 < found[2]
     assert "higher" in summaries.head_start(study(tmp_path), *pair)
     assert "lower" in summaries.head_start(study(tmp_path), *reversed(pair))
+
+
+def test_how_long_an_agent_trains_is_told_of_each_run_that_there_is(tmp_path):
+    assert summaries.duration(study(tmp_path)["boxing_final"]) == ""
+    store(tmp_path, "boxing_final", DQN, np.zeros(3000))
+    store(tmp_path, "boxing_final", DOUBLE, np.zeros(250))
+    said = summaries.duration(study(tmp_path)["boxing_final"])
+    assert facts(said) == [3000, "DQN", 3000, 30.0, "Double DQN", 250, 2.5]
+
+
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [([4], "4"), ([1, 2], "1, 2"), ([1, 2, 3], "1 to 3"), ([1, 3, 4, 5, 8, 9], "1, 3 to 5, 8, 9")],
+)
+def test_three_claims_in_a_row_are_told_as_a_range(given, expected):
+    assert summaries._listed(given) == expected

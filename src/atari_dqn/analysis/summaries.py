@@ -29,6 +29,7 @@ from atari_dqn.analysis.verdicts import (
 )
 
 EARLY = 500  # episodes, before which an agent still acts mostly at random
+BEST = 100  # points of a game of Boxing: a knock-out, and nothing conceded
 RECENT = 100  # episodes, of which the score of a run in progress is the mean
 UNJUDGED = [*Outcome.OPEN.value, *Outcome.UNTESTED.value]
 
@@ -103,17 +104,35 @@ def headline(study: Study) -> str:
         played, planned = _played(study)
         text = f"Training has only begun: {played:,} of {planned:,} planned games are played."
     else:
-        text = (
-            f"Mean scores over {found.episodes} of Boxing: {found.listed} (a human "
-            f"{section.facts.human:g}, random play {section.facts.random:g})."
-        )
+        text = _scored(section, found)
     testable, judged = _judged(verdicts)
-    claims = f"{testable} claims of the source report that runs can judge"
+    claims = f"The source report makes {testable} claims that can be tested by training"
     if judged.empty:
-        return f"**{text}** Of {claims}, none is judged yet."
-    counted = ", ".join(f"{number} \u201c{word}\u201d" for word, number in judged.items())
-    so_far = " so far" if judged.sum() < testable else ""
-    return f"**{text}** Of {claims}, {judged.sum()} are judged{so_far} ({counted})."
+        claims += "; none has been decided yet."
+    else:
+        counted = ", ".join(f"{number} \u201c{word}\u201d" for word, number in judged.items())
+        verb = "has" if judged.sum() == 1 else "have"
+        so_far = " so far" if judged.sum() < testable else ""
+        claims += f"; {judged.sum()} {verb} been decided{so_far} ({counted})."
+    return " ".join(filter(None, (f"**{text}**", beside_source(section), claims)))
+
+
+def _scored(section: Section, found: Standings) -> str:
+    """What the agents of an experiment score, between the best, a human and random play."""
+    planned, facts = len(section.params.agents), section.facts
+    trained, few = len(found.means), len(found.means) < planned
+    verb = "has" if trained == 1 else "have"
+    text = f"So far {trained} of the {planned} agents {verb} been trained. " * few
+    (best, top), *others = found.means.items()
+    said = [f"{best} scores {top:.1f} points per game"]
+    said += [f"{agent} {mean:.1f}" for agent, mean in others]
+    listed = " and ".join(filter(None, (", ".join(said[:-1]), said[-1])))
+    each = " each" * bool(others)
+    return (
+        f"{text}After {found.last:,} games of {facts.title}{each}, {listed} (mean of the last "
+        f"{found.last - found.first + 1} games; best possible {BEST}; one human tester "
+        f"{facts.human:g}; random play {facts.random:g})."
+    )
 
 
 def _judged(verdicts: pd.Series) -> tuple[int, pd.Series]:
@@ -163,6 +182,23 @@ def conclusion(study: Study) -> str:
     return "\n\n".join(said)
 
 
+def duration(section: Section) -> str:
+    """How many games an experiment's agents are trained for, and the hours they have taken; empty
+    without runs."""
+    if section.episodes.empty:
+        return ""
+    last = section.episodes.groupby(["agent", "seed"], sort=False).tail(1)
+    said = [
+        f"{params.title(str(row.agent))}'s first {row.episode:,} took "
+        f"{row.seconds / 3600:.1f} hours"
+        for row in last.itertuples()
+    ]
+    return (
+        f"An agent is trained for {section.params.episodes:,} games, the source report's number. "
+        f"On one processor core each, in {section.facts.title}, {' and '.join(said)}."
+    )
+
+
 def over_seeds(study: Study) -> str:
     """A sentence on the agents' final scores in both games over all seeds: interquartile means with
     stratified bootstrap intervals (Agarwal et al., 2021). Empty with fewer than three seeds, or
@@ -209,23 +245,36 @@ def head_start(study: Study, experiment: str, base: str) -> str:
 def board(study: Study) -> str:
     """The verdicts at a glance: a division of class `board` with one of class `tile` per claim,
     and of its verdict's class. Claims of which there is nothing to see yet share a line below."""
-    tiles, others = [], dict[Outcome, list[str]]()
+    tiles, others = [], dict[Outcome, list[int]]()
     for number, claim in enumerate(FINDINGS, start=1):
         found, scores = claim.judge(study), _numbers(study, claim)
         if found.verdict in UNJUDGED and not (scores and PENDING not in scores):
-            others.setdefault(found.outcome, []).append(str(number))
+            others.setdefault(found.outcome, []).append(number)
             continue
         lines = [f"**{number}** {claim.short}.", scores, f"@{claim.section}"]
         kind = f'.{found.outcome.name.lower()} verdict="{found.verdict}"'
         tiles.append(f"::: {{.tile {kind}}}\n" + "\n\n".join(filter(None, lines)) + "\n:::")
     said = "; ".join(
-        f"{word}: {', '.join(others[outcome])}"
+        f"{word}: {_listed(others[outcome])}"
         for outcome, word in ((Outcome.OPEN, "still open"), (Outcome.UNTESTED, "not tested"))
         if outcome in others
     )
     board = "::: {.board}\n" + "\n\n".join(tiles) + "\n:::" if tiles else ""
     rest = f"Claims of @tbl-findings {said}." if said else ""
     return "\n\n".join(filter(None, (board, rest)))
+
+
+def _listed(numbers: list[int]) -> str:
+    """Rising numbers in words: "1, 3 to 5"; two in a row are no range."""
+    parts: list[list[int]] = []
+    for number in numbers:
+        if parts and number == parts[-1][-1] + 1:
+            parts[-1].append(number)
+        else:
+            parts.append([number])
+    return ", ".join(
+        f"{part[0]} to {part[-1]}" if len(part) > 2 else ", ".join(map(str, part)) for part in parts
+    )
 
 
 PENDING = "Ours: pending"
@@ -300,7 +349,7 @@ def reading(study: Study, experiment: str) -> str:
             lines.append(f"- {params.title(str(agent))}{seeds}{said}.")
         if beside := beside_source(section):
             lines.append(f"- {beside}")
-    waiting: list[str] = []
+    waiting: list[int] = []
     untested: list[str] = []
     for number, claim in enumerate(FINDINGS, start=1):
         if experiment not in claim.experiments:
@@ -308,7 +357,7 @@ def reading(study: Study, experiment: str) -> str:
         found = claim.judge(study)
         said = f"- *{found.verdict.capitalize()}*: claim {number}, {claim.text}. ({found.evidence})"
         if found.outcome == Outcome.OPEN:
-            waiting.append(str(number))
+            waiting.append(number)
         else:
             (untested if found.outcome == Outcome.UNTESTED else lines).append(said)
     if not lines:
@@ -316,8 +365,8 @@ def reading(study: Study, experiment: str) -> str:
     lines += untested
     if waiting:
         noun, verb = ("Claims", "are") if len(waiting) > 1 else ("Claim", "is")
-        lines.append(f"- {noun} {', '.join(waiting)} of @tbl-findings {verb} still open.")
-    head = "**What was found:**" if section.complete else "**What was found so far:**"
+        lines.append(f"- {noun} {_listed(waiting)} of @tbl-findings {verb} still open.")
+    head = "**Findings:**" if section.complete else "**Findings so far:**"
     return f"{head}\n\n" + "\n".join(lines)
 
 
@@ -457,7 +506,7 @@ OBJECTIVES = {
 
 
 def objectives() -> pd.DataFrame:
-    """The source report's six learning objectives, and the sections that serve them."""
+    """The source report's six learning objectives, and the sections that address them."""
     return pd.DataFrame(
-        {"objective": OBJECTIVES.keys(), "where this study serves it": OBJECTIVES.values()}
+        {"objective": OBJECTIVES.keys(), "where this study addresses it": OBJECTIVES.values()}
     )

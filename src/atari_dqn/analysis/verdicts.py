@@ -212,8 +212,8 @@ def _enough(section: Section, scores: np.ndarray) -> bool:
 
 
 def _not_yet(*sections: Section) -> Verdict:
-    shares = [f"{each.name} {_share(each)}" for each in sections if not each.complete]
-    said = f"games played: {', '.join(shares)}" if shares else "too few games for an interval"
+    shares = [f"{each.name} ({_share(each)})" for each in sections if not each.complete]
+    said = f"waiting for {', '.join(shares)}" if shares else "too few games for an interval"
     return Verdict(Outcome.OPEN, said)
 
 
@@ -517,9 +517,13 @@ def beaten_everywhere(study: Study) -> Verdict:
     if not played.empty:
         as_trained = played.epsilon == section.params.evaluation_epsilon
         played = played[(played.sticky_actions == 0) & as_trained]
+    if played.empty:
+        planned = f"{DIFFICULTIES} difficulties planned"
+        said = f"none of the {len(section.params.agents)} agents evaluated yet ({planned})"
+        return Verdict(Outcome.OPEN, said)
     verdicts = []
     for agent in section.params.agents:
-        own = played if played.empty else played[played.agent == agent]
+        own = played[played.agent == agent]
         verdicts.append(_beaten_by(agent, own, len(section.params.seeds)))
     found = all_of(verdicts)
     if found.outcome == Outcome.OPEN:

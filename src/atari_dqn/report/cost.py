@@ -69,18 +69,19 @@ def show_throughput() -> None:
         f"batch 32, one update every {machine['update_period']} agent steps, everything included. "
         "Each library in its best set-up; `results/benchmarks/throughput.csv` lists all of them. "
         "Vertical lines: the limit of the textbook method (direct convolutions). "
-        "Stable-Baselines3 has no Double DQN.",
+        "The peers are Tianshou [@weng2022] and Stable-Baselines3 [@raffin2021], which has no "
+        "Double DQN. @tbl-learners compares our own two learners.",
         alt="Bars of agent steps per second for this project and its peers.",
         data=f"{FOLDER}/throughput.csv",
     )
     ours = best[(best.library == OURS) & (best.agent == "dqn")].iloc[0]
     peer = best[(best.library != OURS) & (best.agent == "dqn")].iloc[0]
     show_text(
-        f"With DQN this project makes {ours.steps_per_second:.0f} agent steps per second, "
-        f"{ours.ratio_to_best_peer:.2f} times {peer.library}, the "
-        "faster of two well-known libraries, in its best set-up. The *limit* of a method is the "
-        "speed that a program would have if it did nothing but emulate the games and do the "
-        "method's arithmetic at the processor's highest speed "
+        f"With DQN this project makes {ours.steps_per_second:.0f} agent steps per second "
+        f"({_rounds(ours)}; @fig-throughput), {ours.ratio_to_best_peer:.2f} times {peer.library} "
+        f"({_rounds(peer)}), the faster of two well-known libraries, in its best set-up. "
+        "The *limit* of a method is the speed that a program would have if it did nothing but "
+        "emulate the games and do the method's arithmetic at the processor's highest speed "
         f"({machine['float32_gflops_per_core']:.0f} billion operations per second and core). The "
         "textbook method, which computes each convolution as it is defined, cannot pass "
         f"{1 / peer.share_of_direct_roofline:.2f} times {peer.library}; ours reaches "
@@ -90,6 +91,10 @@ def show_throughput() -> None:
         "rest goes to the transforms, Adam's memory traffic and the replay memory."
     )
     show_text(_gain_of_cores(measured[measured.library == OURS], machine["cores"]))
+
+
+def _rounds(measured: pd.Series) -> str:
+    return f"rounds from {measured.low:.0f} to {measured.high:.0f}"
 
 
 def _gain_of_cores(ours: pd.DataFrame, cores: int) -> str:
@@ -211,6 +216,18 @@ def show_hours(study: Study) -> None:
     if peak := max((peak_megabytes(run) for run in stored), default=0):
         text += f", and used up to {peak / 1000:.1f} GB of memory"
     text += "."
+    last = [
+        section.episodes.groupby(["variation", "agent", "seed"]).tail(1)
+        for section in study.sections.values()
+        if not section.episodes.empty
+    ]
+    if last:
+        total = pd.concat(last)[["agent_steps", "seconds", "cpu_seconds"]].sum()
+        text += (
+            f" On average they made {total.agent_steps / total.seconds:.0f} agent steps per second "
+            f"of the clock and {total.agent_steps / total.cpu_seconds:.0f} per second of processor "
+            "time."
+        )
     theirs = data("source_report")
     if early.complete and early.params.profile == "full":
         ours = early.episodes.seconds.max() / 3600

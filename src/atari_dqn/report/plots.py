@@ -25,6 +25,7 @@ from scipy import stats
 
 from atari_dqn import params
 from atari_dqn.analysis.statistics import interval, trailing_mean
+from atari_dqn.analysis.study import spelled
 from atari_dqn.envs import SIZE, AtariEnv
 from atari_dqn.games import GAMES, GameFacts
 from atari_dqn.report.interactive import BESIDE, named
@@ -221,7 +222,11 @@ def _published_points(axes: Axes, published: dict[str, Any], reach: float) -> No
             handles += axes.plot(*zip(*at, strict=True), **how)
             named(handles[-1], PUBLISHED, value=f"{name}, {PUBLISHED}")
     if handles:
-        axes.legend(handles=handles, fontsize="x-small", loc="best", handletextpad=0.2)
+        names = [str(handle.get_label()).partition(f", {PUBLISHED}")[0] for handle in handles]
+        axes.legend(  # outside, where it hides no curve
+            handles, names, fontsize="x-small", loc="lower left", bbox_to_anchor=(-0.02, 0.98),
+            ncols=len(handles), handletextpad=0.1, columnspacing=1,
+        )  # fmt: skip
 
 
 def references(axes: Axes, facts: GameFacts, labelled: bool, upright: bool = False) -> None:
@@ -310,8 +315,9 @@ def small_multiples(
             named(axes.plot(base.index, base, **how)[0], "unchanged", value="unchanged")
         mean = curves[curves.variation == names[place]].groupby("episode")["mean"].mean()
         (line,) = axes.plot(mean.index, mean, color=colour, lw=1.3)
-        named(line, "with the change", value=names[place])
-        axes.set_title(textwrap.fill(names[place], 22), fontsize="small", loc="left")
+        title = spelled(names[place])
+        named(line, "with the change", value=title)
+        axes.set_title(textwrap.fill(title, 22), fontsize="small", loc="left")
         axes.tick_params(labelbottom=place + columns >= len(names))  # nothing below it
     figure.supxlabel("training games", fontsize="medium", y=0.01)
     figure.supylabel(f"score, mean of {window} games", fontsize="medium", x=0.015)
@@ -491,7 +497,7 @@ def preprocessing(games: list[str]) -> Figure:
     told = (
         "points of the four\nframes, added up",
         "clipped to\n−1, 0 or 1",
-        "reward that is\nlearnt from",
+        "reward that is\nlearned from",
     )
     box = {"boxstyle": "round,pad=0.35", "fc": "0.95", "ec": SOFT, "lw": 0.8}
     for x, text in zip(places, told, strict=True):

@@ -119,8 +119,8 @@ def punches_figure(punches: pd.DataFrame) -> Figure:
     figure, (left, right) = plt.subplots(1, 2, figsize=(WIDTH, 2.7))
     shared = {"hue": "points", "palette": dict(zip((1, 2), shades(2), strict=True))}
     bins = np.arange(28, 77, 4)
-    sns.histplot(punches, x="arm", bins=bins, multiple="stack", ax=left, **shared)
-    left.set(xlabel="how far the arm was out (72: fully)", ylabel="punches that scored")
+    sns.histplot(punches, x="arm", bins=bins, multiple="layer", ax=left, **shared)
+    left.set(xlabel="how far the arm was out (0 to 72)", ylabel="number of punches")
     left.set(yscale="log", xticks=range(32, 73, 8))
     places = punches.groupby(["points", "dx", "dy"]).size().reset_index(name="punches")
     places = places.sort_values("punches", ascending=False)  # small marks above large ones

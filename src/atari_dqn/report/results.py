@@ -9,7 +9,7 @@ import pandas as pd
 from atari_dqn import params
 from atari_dqn.analysis import summaries
 from atari_dqn.analysis.statistics import MILESTONES, interval, scores_at_milestones
-from atari_dqn.analysis.study import Section, data
+from atari_dqn.analysis.study import Section, data, spelled
 from atari_dqn.params import HELD_OUT_STATES, VALUE_GAMES, VALUES_PERIOD
 from atari_dqn.report import plots
 from atari_dqn.report.interactive import switches
@@ -41,7 +41,7 @@ def show_curves(section: Section) -> None:
         section.episodes, facts, window, published_points(section), source
     )
     caption = [
-        f"{facts.title}, `{section.params.experiment}`: raw score while training, with "
+        f"{section.title}: raw score while training, with "
         "exploration, against games, frames and processor time (on one core); each point is "
         f"the mean of the last {window} games ({section.counted()}). Without sticky actions."
     ]
@@ -123,8 +123,8 @@ def show_milestones(section: Section) -> None:
     show_table(
         table.rename(columns={"seed": "whose"}),
         label=label,
-        caption=f"{facts.title}, `{section.params.experiment}`: mean raw score of "
-        f"{section.milestone_window} games up to each number of games played ({section.counted()})."
+        caption=f"{section.title}: mean raw score of the last {section.milestone_window} games at "
+        "each milestone. Columns: games played."
         + f" Human {facts.human:g}, random play {facts.random:g} [@dqnzoo2020]."
         * section.default_difficulty,
     )
@@ -143,9 +143,8 @@ def show_endings(section: Section) -> None:
     show_table(
         table,
         label=label,
-        caption=f"{section.facts.title}, `{section.params.experiment}`: how the last "
-        f"{section.milestone_window} games before each milestone ended, and how fast points came "
-        f"({section.counted()}).",
+        caption=f"{section.title}: how games ended and how fast points came, over the last "
+        f"{section.milestone_window} games before each milestone. Columns: games played.",
         decimals=0,
     )
 
@@ -169,7 +168,7 @@ def show_evaluations(section: Section) -> None:
             section.evaluations, section.facts if section.default_difficulty else None
         ),
         label=figure,
-        caption=f"{section.facts.title}, `{p.experiment}`: scores of the evaluation games "
+        caption=f"{section.title}: scores of the evaluation games "
         f"({games} per run; {p.evaluation_epsilon:.1%} of the actions are random). Diamonds: the "
         "mean of each run, with its 95% interval (bootstrap over games).",
         alt=f"Dots for each agent's evaluation scores in {section.facts.title}, and their means.",
@@ -185,7 +184,7 @@ def show_evaluations(section: Section) -> None:
     show_table(
         pd.DataFrame(rows).astype({"seed": "Int64", "training games": "Int64"}),
         label=table,
-        caption=f"{section.facts.title}, `{p.experiment}`: evaluation games at difficulty "
+        caption=f"{section.title}: evaluation games at difficulty "
         f"{p.difficulty}. The interval is over the games of a run (bootstrap), not over seeds; "
         f"there are only {p.noop_max} different openings, so the interval is somewhat too narrow.",
         decimals=1,
@@ -215,7 +214,7 @@ def show_conditions(section: Section) -> None:
     show_table(
         pd.DataFrame(rows),
         label=label,
-        caption=f"{section.facts.title}, `{p.experiment}`: evaluation games, also under conditions "
+        caption=f"{section.title}: evaluation games, also under conditions "
         f"other than those of training, which were difficulty {p.difficulty} and a probability "
         f"of sticky actions of {p.sticky_actions:g}. "
         "Intervals are over games.",
@@ -285,12 +284,13 @@ def show_values(section: Section) -> None:
     show_figure(
         plots.value_errors(section.values),
         label=label,
-        caption=f"{section.facts.title}, `{section.params.experiment}`: the value that the "
+        caption=f"{section.title}: the value that the "
         f"network predicts for the states of {VALUE_GAMES} greedy games (dots), and the "
         "discounted return that followed them, in rewards as the agent learns from them (grey "
         f"circles), every {VALUES_PERIOD} training games. Shaded: the network overestimates. A "
         f"point is {VALUE_GAMES} games, so single dips mean little. Pale line: the prediction "
-        f"for {HELD_OUT_STATES} states of random play, always the same ({section.counted()}).",
+        f"for {HELD_OUT_STATES} states of random play that stay the same: if it drifts upwards "
+        "while play does not improve, the network has begun to overestimate.",
         alt="Predicted and realised values of states against training games, one panel per agent.",
         data=section.origin + "values.csv",
     )
@@ -310,7 +310,7 @@ def show_variations(section: Section, reference: Section, agent: str) -> None:
     show_figure(
         plots.small_multiples(sweep, unchanged, agent, window),
         label=figure,
-        caption=f"{section.facts.title}, `{section.params.experiment}`: one change per panel, "
+        caption=f"{section.title}: one change per panel, "
         f"{params.title(agent)}, beside the unchanged set-up; mean raw score of the last {window} "
         f"training games ({section.counted()}).",
         alt="A panel per change with two learning curves: with the change, and unchanged.",
@@ -323,7 +323,7 @@ def show_variations(section: Section, reference: Section, agent: str) -> None:
     greedy = {} if evaluated.empty else evaluated.groupby("variation").score.mean().to_dict()
     rows = [
         {
-            "variation": name,
+            "variation": spelled(str(name)),
             "games": int(found.episode.max()),
             "hours": found.seconds.max() / 3600,
             f"mean of the last {window} games": found.score.mean(),
@@ -339,7 +339,7 @@ def show_variations(section: Section, reference: Section, agent: str) -> None:
     show_table(
         pd.DataFrame(rows),
         label=table,
-        caption=f"{section.facts.title}, `{section.params.experiment}`: hours by the clock on "
+        caption=f"{section.title}: wall-clock hours on "
         "one core, training scores with exploration, and the mean of the greedy games of a "
         "finished run. Intervals are over games of one run (bootstrap), not over seeds.",
         decimals=1,
