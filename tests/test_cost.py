@@ -193,3 +193,13 @@ def test_the_share_of_an_experiment_is_of_all_its_runs_games(tmp_path):
     store(tmp_path, "boxing_final", DQN, np.zeros(300), seed=2)
     section = Section("boxing_final", "full", str(tmp_path), seeds=[1, 2])
     assert section.share == pytest.approx(1200 / (2 * 3 * 3000))
+
+
+def test_the_speed_on_a_gpu_is_that_of_the_slowest_and_the_fastest_run(folder, shown):
+    cost.show_gpu()
+    assert not shown.texts
+    for agent, steps in ((DQN, 90_000), (DOUBLE, 60_000)):
+        run = {"agent_steps": [10, steps], "seconds": [5.0, 60.0]}
+        pd.DataFrame(run).to_csv(folder / f"gpu_breakout_{agent}.csv", index=False)
+    cost.show_gpu()
+    assert numbers(shown.texts[0].replace("H100", ""))[:4] == [16, 2, 1000, 1500]

@@ -120,6 +120,25 @@ def _gain_of_cores(ours: pd.DataFrame, cores: int) -> str:
     return text
 
 
+def show_gpu() -> None:
+    """The speed of runs that were tried on a GPU."""
+    found = sorted((project_root() / FOLDER).glob("gpu_breakout_*.csv"))
+    if not found:
+        return
+    speeds, games = [], []
+    for path in found:
+        run = pd.read_csv(path)
+        speeds.append(run.agent_steps.iloc[-1] / run.seconds.iloc[-1])
+        games.append(len(run))
+    show_text(
+        f"On an NVIDIA H100, with 16 processor cores, {len(found)} runs of Breakout's final "
+        "settings were tried side by side, four emulator processes each: they made "
+        f"{min(speeds):,.0f} to {max(speeds):,.0f} agent steps per second each, until the time on "
+        f"that machine was over after {min(games):,} to {max(games):,} games. No other figure of "
+        "this report is from them."
+    )
+
+
 def show_learners() -> None:
     """The native learner beside PyTorch's in the whole training loop."""
     label, path = "tbl-learners", project_root() / FOLDER / "learners.csv"
