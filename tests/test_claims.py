@@ -123,7 +123,7 @@ class Case:
 FINAL, LATE, EARLY = "boxing_final", "breakout_late", "breakout_early"
 CASES = {
     "1 human in Boxing": Case(
-        "All three agents exceed the human score in Boxing after 1,000 episodes",
+        "All three agents exceed the human score in Boxing after 1,000 games",
         of_all(FINAL, [games(501, 1000, mean, -LOUD) for mean in (14, 15, 16)]),
         tuple({f"{FINAL}/{agent}": games(501, 1000, 10, LOUD)} for agent in AGENTS),
         "DQN 14 12.1, Double DQN 15 12.1, Dueling Double DQN 16 12.1",
@@ -135,7 +135,7 @@ CASES = {
         "Double DQN 90 DQN 80, Dueling Double DQN 85 DQN 80",
     ),
     "3 dueling early": Case(
-        "Dueling Double DQN is the best of the first 500 episodes in both games",
+        "Dueling Double DQN is the best of the first 500 games in both games",
         of_all(FINAL, [early(10, LOUD), early(20, LOUD), early(30)])
         | of_all("breakout_final", [early(3, LOUD), early(5, LOUD), early(8)]),
         (
@@ -170,7 +170,7 @@ CASES = {
     ),
     "7 preprocessing": Case(
         "Preprocessing, and the settings that came with it, make the agents considerably better in "
-        "Breakout (only DQN was trained before it, and can be compared)",
+        "Breakout (only DQN was trained before it, and can be compared; any improvement counts)",
         {f"{LATE}/{DQN}": greedy(LATE, score=30, scored=1), f"{EARLY}/{DQN}": greedy(EARLY)},
         ({f"{LATE}/{DQN}": greedy(LATE, score=10, scored=99)},),
         f"DQN `{LATE}` 30 `{EARLY}` 20",
@@ -182,8 +182,8 @@ CASES = {
         "DQN 30 Double DQN 20, DQN 30 Dueling Double DQN 25",
     ),
     "9 price on lives": Case(
-        "Breakout improves with a price on lost lives (and with larger batches, and with less "
-        "exploration in the end)",
+        "A penalty for losing a life helps in Breakout (together with larger batches and less "
+        "exploration at the end)",
         of_all("breakout_final", [greedy("breakout_final", score=x) for x in (31, 32, 33)])
         | of_all(LATE, [greedy(LATE, score=x, distance=90) for x in (21, 22, 23)]),
         tuple({f"breakout_final/{agent}": greedy("breakout_final", score=9)} for agent in AGENTS),
@@ -191,8 +191,8 @@ CASES = {
         f"Dueling Double DQN `breakout_final` 33 `{LATE}` 23",
     ),
     "10 early learn less": Case(
-        "The early Boxing settings (a learning rate of 0.001, batches of 64, an epsilon of 0.1 at "
-        "the least) learn less than the final ones",
+        "The early Boxing settings (a learning rate of 0.001, batches of 64, a minimum epsilon of "
+        "0.1) learn less than the final ones",
         {
             f"{FINAL}/{DQN}": replace(
                 checked(1500, score=np.r_[np.full(13, 30.0), 44.0, -LOUD]), needed=1400
@@ -203,7 +203,7 @@ CASES = {
         f"DQN `{FINAL}` 31 `boxing_early` 10",
     ),
     "11 early oscillates": Case(
-        "With them, the learning curve oscillates more",
+        "With the early Boxing settings, the learning curve oscillates more",
         {f"{FINAL}/{DQN}": swaying(1.0), "boxing_early/dqn": swaying(5.0)},
         ({f"{FINAL}/{DQN}": swaying(5.0), "boxing_early/dqn": swaying(1.0)},),
         # a block is twice `by` from its neighbours; luck explains 1.5 * 7 ** 2 / 49 of the squares
@@ -277,7 +277,8 @@ CASES = {
         f"40 60 Dueling Double DQN `boxing_high_gamma` 50 `{FINAL}` 30, 50 35",
     ),
     "15 faster in expert mode": Case(
-        "All agents learn faster in expert mode: they gain more in the first 500 episodes",
+        "All agents learn faster in expert mode: in the first 500 games they gain more over their "
+        "own first 50",
         of_all("boxing_expert", [gaining(first, first + 30) for first in (1, 2, 3)])
         | of_all(FINAL, [gaining(first, first + 10) for first in (51, 52, 53)]),
         tuple({f"boxing_expert/{agent}": gaining(80, 81)} for agent in AGENTS),
@@ -285,8 +286,8 @@ CASES = {
         f"Dueling Double DQN `boxing_expert` 30 `{FINAL}` 10",
     ),
     "16 transfer": Case(
-        "Starting from a Breakout agent is worth less than 5 points in Boxing, early "
-        "(first 500 episodes) and at the end",
+        "Starting from a Breakout agent helps little in Boxing: by less than 5 points, early "
+        "(first 500 games) and at the end",
         of_all(
             "boxing_transfer",
             [Runs(windows({(1, 500): x + 4, (835, 1000): x + 44}, LOUD), 1000) for x in (1, 2, 3)],
@@ -317,7 +318,7 @@ CASES = {
     ),
     "17 high discount": Case(
         "A discount of 0.995 changes the score, by more than 5 points up or down against 0.99 (the "
-        "effect is called surprising, and its direction is not said)",
+        "effect is called surprising, its direction is not stated)",
         {
             f"boxing_high_gamma/{DUELING}": games(1668, 2000, 30, LOUD),
             f"{FINAL}/{DUELING}": games(1668, 2000, 40, -LOUD),
@@ -326,8 +327,9 @@ CASES = {
         f"Dueling Double DQN `boxing_high_gamma` 30 `{FINAL}` 40",
     ),
     "18 tuning": Case(
-        "Tuning the learning rate, the batch size and the number of episodes all helped in Boxing: "
-        "the final ones score more than a higher rate, than larger batches and than fewer episodes",
+        "Tuning the learning rate, the batch size and the number of games all helped in Boxing: "
+        "a higher rate, larger batches and fewer games (901 to 1,400) score lower than the final "
+        "settings",
         {
             f"{FINAL}/{DUELING}": Runs(
                 windows({(1, 500): 30, (901, 1400): 50, (2501, 3000): 80}, -LOUD), 3000
@@ -350,7 +352,7 @@ CASES = {
     ),
     "19 clipped rewards": Case(
         "Clipped rewards make learning in Boxing faster than raw ones: they score more over the "
-        "first 500 episodes",
+        "first 500 games",
         {
             f"{FINAL}/{DUELING}": early(30),
             f"boxing_sensitivity/{DUELING}/raw rewards": early(20, LOUD),
@@ -359,8 +361,8 @@ CASES = {
         f"Dueling Double DQN `{FINAL}` 30 `boxing_sensitivity` 20",
     ),
     "20 early improves": Case(
-        "With the early Boxing settings, DQN still improves: its last 500 episodes score more than "
-        "its first 500",
+        "With the early Boxing settings, DQN still improves: its last 500 games score more than "
+        "its first 500, by any amount",
         {"boxing_early/dqn": Runs(windows({(1, 500): 5, (901, 1400): 15}, -LOUD), 1400)},
         ({"boxing_early/dqn": Runs(windows({(1, 500): 15, (901, 1400): 5}, -LOUD), 1400)},),
         "DQN 500 1400 500 15 5",
@@ -472,8 +474,8 @@ WORDS = {  # of the tables, for true, false and not known yet
 }
 COLUMNS = {
     "findings": ("claim", "verdict"),
-    "interpretations": ("interpretation", "its premise"),
-    "goals": ("goal", "here"),
+    "interpretations": ("interpretation", "premise"),
+    "goals": ("goal", "our verdict"),
 }
 
 
@@ -734,8 +736,8 @@ YES, NO, UNCLEAR = "in these runs: yes", "in these runs: no", "in these runs: un
 def test_without_runs_every_claim_is_not_yet_run(tmp_path):
     empty = study(tmp_path)
     assert set(claims.findings(empty).verdict) == {"open", "not tested"}
-    assert set(claims.goals(empty).here) == {"open"}
-    assert set(claims.interpretations(empty)["its premise"]) == {"open", "not tested"}
+    assert set(claims.goals(empty)["our verdict"]) == {"open"}
+    assert set(claims.interpretations(empty)["premise"]) == {"open", "not tested"}
     assert summaries.reading(empty, "boxing_low_gamma") == ""
     assert "Training has only begun: 0 of" in summaries.headline(empty)
 
@@ -757,8 +759,8 @@ def test_a_claim_about_games_not_yet_played_is_not_judged(tmp_path):
     for agent in ("dqn", "double_dqn", "dueling_double_dqn"):
         store(tmp_path, "boxing_final", agent, scores(50.0, games=1200))
     assert verdict(tmp_path, BEST).verdict == "open"
-    assert "`boxing_final` 40%" in verdict(tmp_path, BEST).evidence
-    human = "All three agents exceed the human score in Boxing after 1,000 episodes"
+    assert "`boxing_final` (40%)" in verdict(tmp_path, BEST).evidence
+    human = "All three agents exceed the human score in Boxing after 1,000 games"
     assert verdict(tmp_path, human).verdict == YES
 
 
@@ -805,14 +807,14 @@ def test_a_curve_that_swings_is_told_from_one_that_rises(tmp_path):
     store(tmp_path, "boxing_final", "dqn", rising + scores(0.0, seed=1))
     swinging = 2 + 8 * np.sin(np.arange(1400) / 40)
     store(tmp_path, "boxing_early", "dqn", swinging + scores(0.0, games=1400))
-    claim = "With them, the learning curve oscillates more"
+    claim = "With the early Boxing settings, the learning curve oscillates more"
     assert verdict(tmp_path, claim).verdict == YES
     store(tmp_path, "boxing_early", "dqn", scores(0.0, games=1400))
     assert verdict(tmp_path, claim).verdict == UNCLEAR, "it does not learn at all"
 
 
 def test_a_curve_that_rises_less_does_not_oscillate_more(tmp_path):
-    claim = "With them, the learning curve oscillates more"
+    claim = "With the early Boxing settings, the learning curve oscillates more"
     found = []
     for seed in range(20):
         luck = np.random.default_rng(seed).normal(0, 15, (2, 3000))
@@ -824,8 +826,8 @@ def test_a_curve_that_rises_less_does_not_oscillate_more(tmp_path):
 
 def test_what_is_learned_along_the_way_is_compared_after_the_same_games(tmp_path):
     claim = (
-        "The early Boxing settings (a learning rate of 0.001, batches of 64, an epsilon of 0.1 at "
-        "the least) learn less than the final ones"
+        "The early Boxing settings (a learning rate of 0.001, batches of 64, a minimum epsilon of "
+        "0.1) learn less than the final ones"
     )
     final = store(tmp_path, "boxing_final", "dqn", scores(0.0))
     check(final, np.concatenate([np.full(14, 30.0), np.full(16, -90.0)]))
@@ -851,7 +853,7 @@ def test_only_dqn_is_human_in_breakout_falls_with_a_better_double_dqn(tmp_path):
 def test_an_interpretation_gets_no_verdict_but_its_premise_does(tmp_path):
     for agent, mean in (("dqn", 80.0), ("double_dqn", 60.0), ("dueling_double_dqn", 70.0)):
         store(tmp_path, "boxing_final", agent, scores(mean))
-    found = claims.interpretations(study(tmp_path))["its premise"].tolist()
+    found = claims.interpretations(study(tmp_path))["premise"].tolist()
     assert found[:2] == [NO, YES]
 
 
@@ -949,7 +951,10 @@ def test_no_gain_from_transfer_is_support_for_its_not_helping(tmp_path):
 
 
 def test_what_is_gained_counts_in_expert_mode_and_not_the_scale_of_its_scores(tmp_path):
-    claim = "All agents learn faster in expert mode: they gain more in the first 500 episodes"
+    claim = (
+        "All agents learn faster in expert mode: in the first 500 games they gain more over their "
+        "own first 50"
+    )
     rising = np.linspace(0, 30, 3000)
     for agent in ("dqn", "double_dqn", "dueling_double_dqn"):
         store(tmp_path, "boxing_final", agent, rising + scores(0, seed=1))

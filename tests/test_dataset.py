@@ -1,9 +1,12 @@
 """A run's records as data: the transitions are those that the run learned from."""
 
+import sys
+
 import numpy as np
 import pytest
 from conftest import SMALL
 
+from atari_dqn import __main__
 from atari_dqn.params import ParameterError, Parameters
 from atari_dqn.runs import dataset, recorder
 from atari_dqn.runs.run import Run
@@ -92,3 +95,20 @@ def test_games_that_a_run_has_not_are_refused(trained, asked, tmp_path):
     with pytest.raises(ParameterError, match="has training games 1 to 4, none from"):
         dataset.export(run.folder, *asked, tmp_path / "none.npz")
     assert not list(tmp_path.iterdir())
+
+
+def test_the_command_line_exports_games_and_refuses_a_file_of_another_kind(
+    trained, tmp_path, monkeypatch, capsys
+):
+    run, _ = trained
+    asked = ["atari_dqn", "export", str(run.folder)]
+    monkeypatch.setattr(sys, "argv", [*asked, str(tmp_path / "a.npz"), "--first", "2"])
+    with pytest.raises(SystemExit) as ended:
+        __main__.main()
+    assert not ended.value.code
+    assert "a.npz: 3 games" in capsys.readouterr().out
+    monkeypatch.setattr(sys, "argv", [*asked, str(tmp_path / "a.csv")])
+    with pytest.raises(SystemExit) as ended:
+        __main__.main()
+    assert ended.value.code == 2
+    assert "expected FILE.npz" in capsys.readouterr().err

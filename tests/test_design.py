@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import pandas as pd
 import pytest
 import torch
 from synthetic import numbers
@@ -54,7 +55,7 @@ def test_differences_list_what_an_experiment_changes_and_nothing_else():
     assert table["`boxing_final`"] == "–"
     assert table["`boxing_expert`"] == "`difficulty` 3"
     assert table["`breakout_late`"] == "`game` breakout; `epsilon_floor` 0.1"
-    assert "batch size x 2" in table["`boxing_sensitivity`"]
+    assert "batch size × 2" in table["`boxing_sensitivity`"]
 
 
 def test_exploration_is_told_with_the_games_until_its_floor():
@@ -98,11 +99,20 @@ def test_the_source_reports_scores_stand_beside_its_games_agents_and_marks():
     assert len(table) == 6
 
 
-def test_a_million_images_are_a_thousandth_of_a_gigabyte_for_every_byte_of_one(monkeypatch):
+def test_a_million_images_are_a_thousandth_of_a_gigabyte_for_every_byte_of_one(
+    monkeypatch, tmp_path
+):
     sizes = {"boxing": [400, 600], "breakout": [110, 130]}
     monkeypatch.setattr(design, "_compressed_sizes", lambda name, images: sizes[name])
+    monkeypatch.setattr(design, "project_root", lambda: tmp_path)
     found = numbers(design.memory_text(images=300))
     assert found == [300, 84 * 84, 500, 120, 0.50, 0.12]
+    folder = tmp_path / "results" / "benchmarks"
+    folder.mkdir(parents=True)
+    rows = [("boxing", 500_000, 250.0), ("boxing", 1_000_000, 510.0), ("breakout", 1_000_000, 90.0)]
+    columns = ["game", "transitions", "resident_megabytes"]
+    pd.DataFrame(rows, columns=columns).to_csv(folder / "memory.csv", index=False)
+    assert numbers(design.memory_text(images=300))[6:] == [1_000_000, 0.51, 0.09]
 
 
 def test_settings_are_each_experiments_own():

@@ -8,7 +8,6 @@ import torch
 from atari_dqn import gpu
 from atari_dqn.agents import AGENTS, Learner
 from atari_dqn.envs import VectorEnv
-from atari_dqn.replay import ReplayMemory
 
 
 class Called:
@@ -34,11 +33,13 @@ def device(monkeypatch):
 
 def memories(parameters, device, steps=60):
     """The same games of random play in both kinds of memory."""
-    given = (parameters.replay_capacity, 2, 4, 0.9)
-    both = (
-        ReplayMemory(*given, np.random.SeedSequence(1)),
-        gpu.GPUReplayMemory(*given, np.random.SeedSequence(1), device),
-    )
+    both = [
+        gpu.new_memory(parameters, np.random.SeedSequence(1), torch.device("cpu")),
+        gpu.GPUReplayMemory(
+            *(parameters.replay_capacity, 2, 4, parameters.gamma, np.random.SeedSequence(1)),
+            *(parameters.n_steps, device),
+        ),
+    ]
     envs, rng = VectorEnv(parameters, np.random.SeedSequence(2)), np.random.default_rng(0)
     for memory in both:
         memory.append(envs.planes[-1], *[np.zeros(2)] * 4)
@@ -52,14 +53,17 @@ def memories(parameters, device, steps=60):
 
 def images(batch):
     """The two stacks of a batch whose images are on the GPU, uint8 [N, 84, 84, S] each."""
-    stacks = batch.images.cpu().numpy()[batch.drawn.slots].reshape(5, -1, 84, 84)
-    stacks = stacks.transpose(1, 2, 3, 0)
-    return stacks[..., :-1], stacks[..., 1:]
+    planes = batch.images.cpu().numpy()[batch.drawn.slots]
+    stacks = planes.reshape(*planes.shape[:2], 84, 84).transpose(1, 2, 3, 0)
+    return stacks[..., :4], stacks[..., -4:]
 
 
+@pytest.mark.parametrize("n_steps", [1, 3])
 @pytest.mark.parametrize("capacity", [200, 64])  # with room to spare; full
-def test_the_memory_on_the_gpu_samples_what_the_compressed_one_does(small, device, capacity):
-    compressed, on_gpu = memories(small(replay_capacity=capacity), device)
+def test_the_memory_on_the_gpu_samples_what_the_compressed_one_does(
+    small, device, capacity, n_steps
+):
+    compressed, on_gpu = memories(small(replay_capacity=capacity, n_steps=n_steps), device)
     expected, batch = compressed.sample(40), on_gpu.sample(40)
     before, after = images(batch)
     np.testing.assert_array_equal(before, expected.s_tm1)
@@ -82,10 +86,10 @@ def test_the_two_memories_can_exchange_their_states(small, device, capacity):
         np.testing.assert_array_equal(found, expected)
 
 
-@pytest.mark.parametrize("agent", AGENTS)
-def test_the_recorded_update_is_the_reference_learners(small, device, agent):
+@pytest.mark.parametrize(("agent", "n_steps"), [*((agent, 1) for agent in AGENTS), ("dqn", 3)])
+def test_the_recorded_update_is_the_reference_learners(small, device, agent, n_steps):
     """Weights agree to rounding after updates across a new target network and a new step size."""
-    parameters = small(batch_size=8, adam_epsilon=1.5e-4)
+    parameters = small(batch_size=8, adam_epsilon=1.5e-4, n_steps=n_steps)
     compressed, on_gpu = memories(parameters, device)
     reference = Learner(AGENTS[agent], 18, parameters.model_copy(update={"device": "cpu"}), 7)
     learner = gpu.GraphLearner(AGENTS[agent], 18, parameters, 7)

@@ -54,7 +54,7 @@ def value(agent, episode):
 
 def test_each_panel_has_its_own_axis_place_and_curves(figure):
     panels = {panel["x_label"]: panel for panel in described(figure)["panels"]}
-    units = {"training episodes": 1, "million frames": FRAMES / 1e6}
+    units = {"training games": 1, "million frames": FRAMES / 1e6}
     units["hours of processor time"] = SECONDS / 3600
     assert list(panels) == list(units)
     for axes, (label, unit) in zip(figure.axes, units.items(), strict=True):
@@ -166,7 +166,7 @@ def point(page, panel, x, y=0.5):
 @pytest.mark.parametrize(
     ("number", "x", "name", "unit"),
     [
-        (0, 300.0, "training episodes", 1),
+        (0, 300.0, "training games", 1),
         (1, 1.4, "million frames", FRAMES / 1e6),
         (2, 6.0, "hours of processor time", SECONDS / 3600),
     ],
@@ -219,6 +219,16 @@ def test_between_the_panels_and_beside_them_nothing_is_shown(page):
         assert browser("document.querySelector('.marker').hidden")
 
 
+def test_a_switch_of_lines_of_several_colours_has_none_of_these():
+    figure, axes = plt.subplots()
+    for colour, switch in (("red", "both"), ("blue", "both"), ("red", "one"), ("red", "one")):
+        interactive.named(axes.plot([0, 1], color=colour)[0], switch)
+    found = interactive.switches(figure)
+    plt.close(figure)
+    assert found["one"] == "#ff0000"
+    assert found["both"] not in {"#ff0000", "#0000ff"}
+
+
 def test_buttons_switch_curves_and_their_values_by_keyboard(page):
     browser, (main, *_) = page
     buttons = "[...document.querySelectorAll('.switches button')]"
@@ -228,6 +238,8 @@ def test_buttons_switch_curves_and_their_values_by_keyboard(page):
         "source report",
         "Dopamine",
     ]
+    marks = browser(f"{buttons}.map((one) => one.dataset.marks || '')")
+    assert marks == ["", "", "○", "□"], "what is a line in the picture has the colour of one"
     source = "document.querySelector('#fig-curves img').src"
     before = browser(source)
     browser(f"{buttons}[0].focus()")

@@ -23,7 +23,7 @@ LONG = r"$$" + " + ".join(rf"\gamma^{{{power}}} r_{{t+{power}}}" for power in ra
 TEXT = rf"""
 # Start {{#sec-start}}
 
-The share $\varepsilon$, or more, is random. {WORDS}
+The share $\varepsilon$, or more, is random. {WORDS} An image has 84 × 84 pixels.
 
 See @fig-tall, @fig-wide, @vid-hero, @tbl-long, @eq-long, @sec-rules, @sec-more and [@mnih2015].
 
@@ -153,6 +153,7 @@ def made(tmp_path_factory):
         new_markdown_cell("What was *found*.", metadata={"tags": ["abstract"]}),
         new_markdown_cell(TEXT),
         *(new_code_cell("show()", outputs=[one]) for one in [*shown, video("vid-second")]),
+        new_markdown_cell("[]{#fig-later .absent}"),
         new_markdown_cell(APPENDIX),
     ]
     nbformat.write(new_notebook(cells=cells), folder / "00_small.ipynb")
@@ -406,6 +407,13 @@ def test_a_tile_of_the_board_is_a_link_as_a_whole_and_says_its_verdict_in_a_word
     )
 
 
+def test_a_product_stays_on_one_line_in_both_media(made, html):
+    product = "84 × 84".replace(" ", "\N{NO-BREAK SPACE}")
+    assert product in html
+    paper = (made / "report.typ").read_text(encoding="utf-8")
+    assert product in paper.replace("~", "\N{NO-BREAK SPACE}")
+
+
 def test_the_page_says_of_itself_what_it_is(html):
     head = dict(re.findall(r'<meta (?:name|property)="([^"]+)" content="([^"]*)"', html))
     assert head["author"] == "The atari-dqn project"
@@ -414,6 +422,29 @@ def test_the_page_says_of_itself_what_it_is(html):
     assert head["description"] == head["og:description"] == build.DESCRIPTION
     assert "og:image" not in head
     assert "3 February 2020" in html
+
+
+def test_a_report_of_unfinished_runs_says_that_it_is_preliminary(made, html, tmp_path):
+    byline = re.compile(r'class="byline">(.*?)</p>')
+    assert "preliminary" in byline.search(html)[1]
+    assert "preliminary" in (made / "report.typ").read_text(encoding="utf-8")
+    build._typeset("# Done", "", tmp_path, datetime(2020, 2, 3, tzinfo=UTC))
+    assert "preliminary" not in byline.search((tmp_path / "index.html").read_text("utf-8"))[1]
+
+
+def test_the_contents_show_the_readers_place_and_the_subsections_of_no_other(show):
+    page = show(width=1280)
+    inner = """[...document.querySelectorAll("#contents ul ul a")]
+      .map((link) => [link.offsetParent !== null, link.getBoundingClientRect().bottom])"""
+    page("window.scrollTo({ top: 0, behavior: 'instant' })")
+    assert [seen for seen, _ in page(inner)] == [False]
+    page("document.getElementById('contents').style.maxHeight = '6rem'")
+    page("document.body.style.paddingBottom = '100vh'")  # so that it can be at the top
+    page("document.querySelector('main h2').scrollIntoView({ behavior: 'instant' })")
+    page("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+    ((seen, bottom),) = page(inner)
+    assert seen
+    assert bottom <= page("document.getElementById('contents').getBoundingClientRect().bottom")
 
 
 def test_references_link_to_their_papers_in_both_media(made, html):
@@ -470,6 +501,11 @@ def test_equations_are_numbered_on_paper_as_on_the_page(made):
         "e => (str(e.label), numbering(e.numbering, ..counter(math.equation).at(e.location()))))",
     )
     assert numbers == [["eq-long", "(1)"], ["eq-short", "(2)"]]
+
+
+def test_a_held_place_takes_no_label_from_what_stands_before_it(made):
+    kinds = asked(made, "(query(<vid-second>).first(), query(<fig-later>).first())")
+    assert [one["func"] for one in kinds] == ["figure", "metadata"]
 
 
 def test_appendices_are_lettered_in_both_media(made, html):

@@ -12,14 +12,8 @@ ROOT = Path(__file__).parents[1]
 FILES = [path for profile in params.PROFILES for path in plan.files(profile)]
 # What only some experiments need to name.
 RARE = {
-    *(
-        "device",
-        "learner",
-        "emulator_processes",
-        "warmup_games",
-        "warmup_learning_rate",
-        "variations",
-    ),
+    *("device", "learner", "emulator_processes", "variations", "n_steps"),
+    *("warmup_games", "warmup_learning_rate"),
     *("evaluation_difficulties", "evaluation_stickiness"),
     *("initial_weights", "transferred_layers", "freeze_convolutions"),
 }

@@ -57,11 +57,11 @@ def marks(axes, which=""):
 
 @pytest.mark.parametrize(
     ("unit", "a_game"),
-    [("training episodes", 1), ("million frames", 0.02), ("hours of processor time", 0.01 / 9)],
+    [("training games", 1), ("million frames", 0.02), ("hours of processor time", 0.01 / 9)],
 )
 def test_every_seed_has_its_own_curve_against_each_unit(panels, unit, a_game):
     found = curves(panels[unit], DQN)
-    assert len(found) == (3 if unit == "training episodes" else 2)
+    assert len(found) == (3 if unit == "training games" else 2)
     for (xs, ys), times in zip(found[:2], (0.1, 0.3), strict=True):
         assert xs == pytest.approx(SHOWN * a_game)
         assert ys == pytest.approx(slope(times))
@@ -71,14 +71,14 @@ def test_every_seed_has_its_own_curve_against_each_unit(panels, unit, a_game):
 
 
 def test_the_bold_curve_is_the_mean_of_an_agents_seeds(panels):
-    *_, (xs, ys) = curves(panels["training episodes"], DQN)
+    *_, (xs, ys) = curves(panels["training games"], DQN)
     assert xs == pytest.approx(SHOWN)
     assert ys == pytest.approx(slope(0.2))
 
 
 def test_the_main_panel_is_the_largest_and_its_means_stand_out(panels):
     heights = {name: axes.get_position().height for name, axes in panels.items()}
-    assert heights.pop("training episodes") > 2 * max(heights.values())
+    assert heights.pop("training games") > 2 * max(heights.values())
     main, *lower = panels.values()
     *seeds, mean = drawn(main, DQN)
     assert all(mean.get_linewidth() > 2 * seed.get_linewidth() for seed in seeds)
@@ -125,7 +125,7 @@ def test_the_source_reports_scores_are_hollow_points_in_their_agents_colour(tmp_
     assert marks(main) == {
         "DQN, source report": ([500, 1000], [10.61, 51.62]),
         "Double DQN, source report": ([500, 1000], [28.99, 80.19]),
-        "Double DQN, ours over the same episodes": ([500], [pytest.approx(25.05)]),
+        "Double DQN, ours over the same games": ([500], [pytest.approx(25.05)]),
     }
     for line in main.get_lines():
         if line.get_linestyle() == "None":
@@ -134,7 +134,7 @@ def test_the_source_reports_scores_are_hollow_points_in_their_agents_colour(tmp_
             agent = DOUBLE if "Double" in line.get_label() else DQN
             assert line.get_color() == plots.STYLES[agent].colour
     assert not any(marks(axes, "source") for axes in lower)
-    assert "means of the last 500 episodes, hollow the source report's" in shown.captions[label]
+    assert "means of the last 500 games, hollow the source report's" in shown.captions[label]
     assert "source report" in [text.get_text() for text in main.get_legend().get_texts()]
 
 
@@ -161,7 +161,7 @@ def test_an_experiment_of_another_length_has_no_marks_of_the_source_report(tmp_p
 
 
 def test_curves_are_named_after_their_agents_and_the_axis_after_its_window(panels):
-    axes = panels["training episodes"]
+    axes = panels["training games"]
     named = named_lines(axes)
     assert list(named) == ["DQN", "Double DQN"]
     assert named["Double DQN"][0][1] == pytest.approx(slope(0.5))
@@ -171,7 +171,7 @@ def test_curves_are_named_after_their_agents_and_the_axis_after_its_window(panel
 def test_human_and_random_lines_lie_at_their_scores_and_are_named(panels):
     for axes in panels.values():
         assert [ys for _, ys in lines_of(axes, ":")] == [[12.1, 12.1], [0.1, 0.1]]
-    notes = {note.get_text(): note.xy[1] for note in panels["training episodes"].texts}
+    notes = {note.get_text(): note.xy[1] for note in panels["training games"].texts}
     assert notes == {"human 12.1": 12.1, "random play 0.1": 0.1}
 
 
@@ -255,17 +255,18 @@ def test_predicted_realised_and_held_out_values_are_told_apart_by_their_lines(tm
         lines = {line.get_label(): line for line in axes.get_lines()}
         for name, expected in (
             ("predicted", base),
-            ("realised", base + 0.5),
-            ("held-out states", base - 0.5),
+            ("what followed", base + 0.5),
+            ("prediction for fixed random states", base - 0.5),
         ):
             xs, ys = lines[name].get_data()
             assert list(xs) == [100, 200, 300]
             assert ys == pytest.approx(expected)
         colour = plots.STYLES[agent].colour
-        assert lines["predicted"].get_color() == lines["held-out states"].get_color() == colour
+        assert lines["predicted"].get_color() == colour
+        assert lines["prediction for fixed random states"].get_color() == colour
         looks = {(line.get_marker(), str(line.get_markerfacecolor())) for line in lines.values()}
         assert len(looks) == 3
-        assert axes.get_xlabel() == "training episodes"
+        assert axes.get_xlabel() == "training games"
     caption = shown.captions["fig-boxing-final-values"]
     told = ["predicts", "(dots)", "return that followed", "(grey circles)", "overestimates"]
     assert sorted(told, key=caption.index) == told

@@ -41,8 +41,8 @@ class NaiveMemory:
             }
         )
 
-    def transitions(self):
-        """{(stream, slot): (s_tm1, a, r, terminated, s_t)} of what a full ring still holds."""
+    def transitions(self, n_steps=1, gamma=0.9):
+        """{(stream, slot): (s_tm1, a, r, discount, s_t)} of what a full ring still holds."""
         found = {}
         for stream, slots in self.streams.items():
             written = len(slots)
@@ -50,9 +50,21 @@ class NaiveMemory:
             first = 0 if written < self.rows else written - self.rows + self.stack
             for number in range(max(1, first), written):
                 slot = slots[number]
-                if not slot["begins"]:
-                    before = slots[number - 1]["observation"]
-                    found[stream, number] = (before, *slot["transition"], slot["observation"])
+                if slot["begins"]:
+                    continue
+                spanned = [slot]
+                for later in slots[number + 1 : number + n_steps]:
+                    if later["begins"]:
+                        break
+                    spanned.append(later)
+                action, _, _ = slot["transition"]
+                reward = sum(
+                    gamma**power * each["transition"][1] for power, each in enumerate(spanned)
+                )
+                ended = spanned[-1]["transition"][2]
+                discount = 0 if ended else gamma ** len(spanned)
+                before, after = slots[number - 1]["observation"], spanned[-1]["observation"]
+                found[stream, number] = (before, action, reward, discount, after)
         return found
 
 
@@ -88,15 +100,17 @@ def fill(memory, naive, lengths, steps, rng):
     stack=st.integers(1, 4),
     lengths=st.lists(st.integers(1, 12), min_size=1, max_size=4),
     steps=st.integers(3, 80),
+    n_steps=st.integers(1, 5),
     seed=st.integers(0, 2**31),
 )
 def test_samples_equal_a_naive_memorys_wrap_around_included(
-    rows, streams, stack, lengths, steps, seed
+    rows, streams, stack, lengths, steps, n_steps, seed
 ):
-    memory = ReplayMemory(rows * streams, streams, stack, 0.9, np.random.SeedSequence(seed))
+    sequence = np.random.SeedSequence(seed)
+    memory = ReplayMemory(rows * streams, streams, stack, 0.9, sequence, n_steps)
     naive = NaiveMemory(rows, stack)
     fill(memory, naive, lengths, steps, np.random.default_rng(seed))
-    expected = naive.transitions()
+    expected = naive.transitions(n_steps)
     state = memory.rng.bit_generator.state
     drawn_rows, drawn_streams = memory._draw(200)
     memory.rng.bit_generator.state = state
@@ -105,14 +119,14 @@ def test_samples_equal_a_naive_memorys_wrap_around_included(
     for index in range(200):
         # the number of the slot that this row holds now
         number = newest - (newest - int(drawn_rows[index])) % rows
-        before, action, reward, terminated, after = expected[int(drawn_streams[index]), number]
+        before, action, reward, discount, after = expected[int(drawn_streams[index]), number]
         stacked = np.stack(before, axis=-1).reshape(84, 84, stack)
         np.testing.assert_array_equal(batch.s_tm1[index], stacked)
         stacked = np.stack(after, axis=-1).reshape(84, 84, stack)
         np.testing.assert_array_equal(batch.s_t[index], stacked)
         assert batch.a_tm1[index] == action
-        assert batch.r_t[index] == reward
-        assert batch.discount_t[index] == (0 if terminated else np.float32(0.9))
+        assert batch.r_t[index] == pytest.approx(reward, abs=1e-6)
+        assert batch.discount_t[index] == pytest.approx(discount, rel=1e-6)
 
 
 def test_sampling_is_uniform_over_all_transitions_but_those_of_a_full_rings_oldest_rows():

@@ -159,9 +159,9 @@ def test_the_background_says_what_its_measurements_say(built):
     bent = [row for row in far if row["points"] == "2"]
     near = len(two) - len(bent), len(rows) - len(far)
     assert f"Of {len(rows):,} punches, {len(two)} scored two points" in text
-    assert f"from {near[0] / near[1]:.0%} of the punches closer than 18 pixels" in text
+    assert f"from {near[0] / near[1]:.0%} of the punches less than 18 pixels" in text
     assert f"from {len(bent)} of the {len(far):,} others" in text
-    assert "two games of Boxing are equal, bit for bit, after every one of 1,000 steps" in text
+    assert "two games of Boxing are identical after each of 1,000 steps" in text
     assert "the goal in 13 steps" in text, "the shortest way along the cliff"
 
 
@@ -205,7 +205,7 @@ def test_a_section_is_executed_again_only_if_something_of_its_own_changed(built)
     row_of.write_text(header + ",".join(cells) + "".join(rest))
     snapshot = build._snapshot(results)
     stale = {path.stem: path for path, _ in build._stale("smoke", results, snapshot)}
-    on_all_runs = {"00_summary", "10_evaluation", "11_discussion", "13_speed", "15_runs"}
+    on_all_runs = {"00_summary", "13_evaluation", "14_discussion", "16_speed", "18_runs"}
     assert set(stale) == {"05_boxing_expert"} | on_all_runs
     execution.execute(stale["05_boxing_expert"], executed.parent, "smoke", snapshot)
     assert "857.00" in executed.read_text()

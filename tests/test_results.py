@@ -9,8 +9,9 @@ from synthetic import AGENTS, check, evaluate, numbers, store, study, style, win
 
 from atari_dqn import params
 from atari_dqn.analysis.study import Section
+from atari_dqn.envs import EpisodeRecord
 from atari_dqn.report import notebook, outputs, plots, results
-from atari_dqn.runs import plan, recorder
+from atari_dqn.runs import plan, recorder, records, robustness
 from atari_dqn.runs.files import project_root
 
 DQN, DOUBLE, DUELING = AGENTS
@@ -47,7 +48,7 @@ def test_scores_at_marks_are_ours_by_agent_and_seed_beside_the_source_reports(tm
         ),
     ]
     caption = shown.captions["tbl-boxing-final-marks"]
-    assert numbers(caption)[:3] == [500, 1, 2520], "games a mean is of, seeds, games"
+    assert caption.startswith("Boxing, final settings: mean raw score of the last 500 games")
     assert "Human 12.1, random play 0.1" in caption
 
 
@@ -65,7 +66,7 @@ def test_marks_of_a_shorter_experiment_are_sixths_of_its_games(tmp_path, shown):
     (row,) = shown.tables["tbl-boxing-low-gamma-marks"]
     assert list(row) == ["agent", "whose", "167", "333", "500", "667", "833", "1000"]
     assert list(row.values())[2:] == ["1.00", "2.00", "3.00", "4.00", "5.00", "6.00"]
-    assert numbers(shown.captions["tbl-boxing-low-gamma-marks"])[0] == 166
+    assert "of the last 166 games" in shown.captions["tbl-boxing-low-gamma-marks"]
 
 
 KNOCKED = [1] * 10 + [-1] * 20 + [0] * 10  # of 40 games, a quarter by knock-out, half knocked out
@@ -146,8 +147,8 @@ def test_a_sweep_has_a_row_a_variation_beside_the_same_games_of_the_unchanged_se
     ]
     assert found == [
         ("unchanged", "500", "5.0", "8.0", "–"),
-        ("learning rate x 4", "500", "5.0", "3.0", "13.0"),
-        ("batch size x 2", "200", "2.0", "1.0", "–"),
+        ("learning rate × 4", "500", "5.0", "3.0", "13.0"),
+        ("batch size × 2", "200", "2.0", "1.0", "–"),
         ("raw rewards", "500", "5.0", "-5.0", "5.0"),
     ]
     for row in rows:
@@ -213,12 +214,13 @@ def test_seeds_weigh_alike_in_what_transfer_is_worth(tmp_path, shown):
     ]
     results.show_transfer(*pair)
     (row,) = shown.tables["tbl-transfer"]
-    assert (row["episodes"], row["area ratio"], row["at the end"]) == ("600", "0.20", "20.00")
+    assert (row["games"], row["area ratio"], row["at the end"]) == ("600", "0.20", "20.00")
 
 
 def test_play_styles_are_rows_of_the_same_training_the_lowest_discount_first(tmp_path, shown):
     final = store(tmp_path, "boxing_final", DUELING, np.zeros(1200))
     style(final, np.r_[np.full(5, 10.0), np.full(5, 30.0), 50.0, 50.0], conceded=20.0, reach=0.25)
+    style(store(tmp_path, "boxing_final", DQN, np.zeros(1200)), np.full(12, FAR))  # another agent's
     stored = study(tmp_path)
     played = [stored["boxing_final"], stored["boxing_low_gamma"]]
     results.show_playstyle(played, "tbl-playstyle")
@@ -239,6 +241,25 @@ def test_play_styles_are_rows_of_the_same_training_the_lowest_discount_first(tmp
         ["1,001 to 1,500", "0.99", "50.0", *careful],
     ]
     assert "per minute" in shown.captions["tbl-playstyle"]
+
+
+def test_the_styles_along_training_have_a_panel_per_measure_and_a_line_per_agent(tmp_path, shown):
+    for agent, base in ((DOUBLE, 1.0), (DQN, 2.0)):
+        run = store(tmp_path, "boxing_final", agent, np.zeros(300))
+        curve = base * np.array([1.0, 2.0, 3.0])
+        how = {"distance": 10 * curve, "reach": curve / 10, "punches": curve}
+        style(run, np.zeros(3), **how, conceded=2 * curve)
+    results.show_learning_style(study(tmp_path)["boxing_final"])
+    panels = shown.figures["fig-boxing-final-style"].axes
+    for axes, factor in zip(panels, (10, 10, 0.5, 1), strict=True):  # an episode lasts two minutes
+        lines = {line.get_label(): line.get_xydata() for line in axes.get_lines()}
+        assert list(lines) == ["DQN", "Double DQN"]
+        for name, base in (("DQN", 2.0), ("Double DQN", 1.0)):
+            assert lines[name][:, 0].tolist() == [100, 200, 300]
+            assert lines[name][:, 1] == pytest.approx(factor * base * np.array([1.0, 2.0, 3.0]))
+    titles = [axes.get_title(loc="left") for axes in panels]
+    words = ("distance", "reach", "punches", "conceded")
+    assert all(word in title for word, title in zip(words, titles, strict=True))
 
 
 def test_an_empty_place_gives_a_reason_where_no_badge_does(tmp_path, shown):
@@ -268,13 +289,74 @@ def test_a_badge_tells_what_is_complete_the_share_played_and_what_is_planned(tmp
     store(tmp_path, "boxing_final", DOUBLE, np.zeros(1500))
     stored = study(tmp_path)
     notebook.show_badge(stored["boxing_final"])
-    assert numbers(shown.texts[-1])[:6] == [1, 3, 4500, 50, 3, 3000]
+    assert numbers(shown.texts[-1])[:5] == [1, 3, 4500, 9000, 50]
     assert ".partial" in shown.texts[-1]
-    assert numbers(stored["boxing_final"].counted()) == [1, 4500]
+    assert stored["boxing_final"].counted().startswith("1 run per agent, so no statement")
     notebook.show_badge(stored["boxing_low_gamma"])
     assert "Not started" in shown.texts[-1]
     assert numbers(shown.texts[-1])[:2] == [1, 1000]
     store(tmp_path, "boxing_low_gamma", DUELING, np.zeros(1000))
     notebook.show_badge(study(tmp_path)["boxing_low_gamma"])
-    assert numbers(shown.texts[-1])[:6] == [1, 1, 1000, 100, 1, 1000]
+    assert numbers(shown.texts[-1])[:5] == [1, 1, 1000, 1000, 100]
     assert ".partial" not in shown.texts[-1]
+
+
+def test_a_finished_agents_score_stands_beside_those_under_conditions_it_has_never_met(
+    tmp_path, shown
+):
+    run = store(tmp_path, "boxing_final", DQN, np.full(3000, 5.0))
+    evaluate(run, score=80.0)
+    evaluate(run, add=True, score=60.0, sticky_actions=0.25)
+    evaluate(run, add=True, score=FAR, difficulty=1)
+    rows = [("sequence", 10.0), ("mirrored", 30.0)]
+    run.robustness.parent.mkdir(parents=True)
+    pd.DataFrame(
+        {"condition": name, "game": game, "score": mean + off, "length": 9, "trained_games": 3000}
+        for name, mean in rows
+        for game, off in enumerate((-1, 0, 1))
+    ).to_csv(run.robustness, index=False)
+    games = [
+        ({"kind": "training", "episode": number}, EpisodeRecord(idle, bytes(3), None))
+        for number, idle in enumerate((1, 1, 2, 1, 1), 1)
+    ]
+    (run.folder / records.FILE).write_bytes(records.encode(games))
+    results.show_robustness(study(tmp_path)["boxing_final"])
+    table = shown.tables["tbl-boxing-final-robustness"]
+    found = [(row["condition"], row["games"], row["mean score"]) for row in table]
+    assert found == [
+        ("as trained", "40", "80.0"),
+        ("sticky actions, 0.25", "40", "60.0"),
+        ("left and right exchanged", "3", "30.0"),
+        ("the best game's moves, blindly", "3", "10.0"),
+    ]
+    assert numbers(shown.texts[-1]) == [500, 100, 80], "four of five begin alike"
+
+
+def test_repeated_openings_count_idle_frames_and_no_more_than_the_games_and_steps_asked_for(
+    tmp_path,
+):
+    run = store(tmp_path, "boxing_final", DQN, np.full(6, 5.0))
+    openings = [(1, [1, 2, 3]), (9, [4, 4, 4]), (1, [1, 2, 9]), (2, [1, 2, 3]), (1, [1, 2])]
+    games = [
+        ({"kind": "training", "episode": number}, EpisodeRecord(idle, bytes(actions), None))
+        for number, (idle, actions) in enumerate(openings, 1)
+    ]
+    (run.folder / records.FILE).write_bytes(records.encode(games))
+    assert robustness.repeated_openings(run, 5, 2) == 3 / 5
+    assert robustness.repeated_openings(run, 5, 3) == 0
+    assert robustness.repeated_openings(run, 4, 2) == 2 / 4
+
+
+def test_from_three_seeds_on_a_caption_claims_no_less_than_the_runs_allow(tmp_path):
+    for seed in (1, 2, 3):
+        store(tmp_path, "boxing_final", DQN, np.zeros(300), seed=seed)
+    for seeds, expected in (([1, 2], "2 runs per agent, so no"), ([1, 2, 3], "3 runs per agent")):
+        section = Section("boxing_final", "full", str(tmp_path), [DQN], seeds)
+        assert section.counted().startswith(expected)
+        assert ("no statement" in section.counted()) == (len(seeds) < 3)
+
+
+def test_every_experiment_of_the_report_has_a_title_for_people(tmp_path):
+    for name, section in study(tmp_path).sections.items():
+        assert "_" not in section.title, name
+        assert section.title.startswith(section.facts.title)

@@ -85,6 +85,25 @@ def test_what_is_measured_is_not_played_again_and_another_record_is(run, monkeyp
     assert run.styles.read_bytes() != once
 
 
+def test_an_interruption_keeps_what_has_been_measured(run, monkeypatch):
+    played, measured = [], styles._style
+
+    def interrupted(*given):
+        if played:
+            raise KeyboardInterrupt
+        played.append(given)
+        return measured(*given)
+
+    monkeypatch.setattr(styles, "_style", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        styles.measure(run)
+    assert len(pd.read_csv(run.styles)) == 1
+    monkeypatch.setattr(styles, "_style", lambda *given: played.append(given) or measured(*given))
+    styles.measure(run)
+    assert [game for _, _, game, *_ in played] == [0, 1], "each is played once"
+    assert len(pd.read_csv(run.styles)) == 2
+
+
 def test_no_punch_that_was_measured_lands_from_beyond_reach():
     punches = ram.stored_punches()
     assert max(punches.dx.max(), punches.dy.max()) == styles.REACH

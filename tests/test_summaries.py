@@ -1,6 +1,7 @@
 """The computed sentences of the report give the numbers, names and verdicts of the stored runs."""
 
 import re
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -29,7 +30,7 @@ def boxing(results, means, experiment="boxing_final", first=2501, last=3000):
 def test_the_headline_has_each_agents_mean_the_best_first_beside_a_human_and_random_play(tmp_path):
     text = summaries.headline(boxing(tmp_path, {DQN: 5.0, DOUBLE: 13.0, DUELING: 11.5}))
     ranked = ["Double DQN", 13.0, "Dueling Double DQN", 11.5, "DQN", 5.0]
-    assert facts(text.split("Of 21 claims")[0]) == [2501, 3000, *ranked, 12.1, 0.1]
+    assert facts(text.split("**")[1]) == [3000, *ranked, 500, 100, 12.1, 0.1]
 
 
 def test_a_headline_of_runs_in_progress_compares_the_last_hundred_episodes_that_all_have_played(
@@ -38,8 +39,8 @@ def test_a_headline_of_runs_in_progress_compares_the_last_hundred_episodes_that_
     store(tmp_path, "boxing_final", DQN, window(701, 800, 6.0, FAR, after=100))
     store(tmp_path, "boxing_final", DOUBLE, window(701, 800, 9.0, -FAR, after=0))
     text = summaries.headline(study(tmp_path))
-    expected = [701, 800, "Double DQN", 9.0, "DQN", 6.0, 12.1, 0.1]
-    assert facts(text.split("Of 21")[0]) == expected
+    expected = [2, 3, 800, "Double DQN", 9.0, "DQN", 6.0, 100, 100, 12.1, 0.1]
+    assert facts(text.split("**")[1]) == expected
 
 
 def test_an_agent_has_one_score_wherever_it_is_told(tmp_path):
@@ -76,14 +77,14 @@ def three_true_and_one_false(results):
 
 def test_the_claims_that_are_judged_are_counted_by_verdict(tmp_path):
     stored = three_true_and_one_false(tmp_path)
-    counted = summaries.headline(stored).split("Of 21 claims", 1)[1]
-    assert "4 are judged so far (3 “in these runs: yes”, 1 “in these runs: no”)" in counted
+    counted = summaries.headline(stored).split("The source report makes 21 claims", 1)[1]
+    assert "4 have been decided so far (3 “in these runs: yes”, 1 “in these runs: no”)" in counted
     said = summaries.conclusion(stored)
     (true,) = re.findall(r"\*In these runs: yes\*: (.*)", said)
     (false,) = re.findall(r"\*In these runs: no\*: (.*)", said)
     assert len(true.split("; ")) == 3
     assert "Double DQN ends highest in Boxing" in true
-    assert false == "Dueling Double DQN is the best of the first 500 episodes in both games."
+    assert false == "Dueling Double DQN is the best of the first 500 games in both games."
     assert len(re.findall(r"^\*", said, re.MULTILINE)) == 2, "and none that is open"
 
 
@@ -121,7 +122,8 @@ def test_an_agent_is_past_its_early_games_after_five_hundred(tmp_path):
     store(tmp_path, "boxing_final", DQN, np.full(499, 50.0))
     store(tmp_path, "boxing_final", DOUBLE, np.full(500, 7.0))
     text = summaries.headline(study(tmp_path))
-    assert facts(text.split("Of 21")[0]) == [401, 500, "Double DQN", 7.0, 12.1, 0.1]
+    assert facts(text.split("**")[1]) == [1, 3, 500, "Double DQN", 7.0, 100, 100, 12.1, 0.1]
+    assert "1 of the 3 agents has been trained" in text
 
 
 def lines(text):
@@ -143,7 +145,7 @@ def test_a_run_that_never_passes_the_human_score_is_not_said_to(tmp_path):
     for experiment in ("boxing_final", "breakout_final"):
         assert "passed" not in summaries.reading(study(tmp_path), experiment)
     store(tmp_path, "breakout_final", DOUBLE, np.full(300, 31.0))
-    assert "human 30.5 after episode 100;" in summaries.reading(study(tmp_path), "breakout_final")
+    assert "human 30.5 after game 100;" in summaries.reading(study(tmp_path), "breakout_final")
 
 
 def test_a_reading_has_a_line_for_every_seed_each_of_its_own_games(tmp_path):
@@ -157,8 +159,8 @@ def test_a_reading_has_a_line_for_every_seed_each_of_its_own_games(tmp_path):
     first, second, *_ = lines(summaries.reading(stored, "boxing_final"))
     assert facts(first)[:3] == ["DQN", 1, 20.0]
     assert facts(second)[:3] == ["DQN", 2, 40.0]
-    assert facts(first)[-3:] == [300, VALUE_GAMES, 21.0]
-    assert facts(second)[-3:] == [300, VALUE_GAMES, 41.0]
+    assert facts(first)[-3:] == [VALUE_GAMES, 300, 21.0]
+    assert facts(second)[-3:] == [VALUE_GAMES, 300, 41.0]
 
 
 def test_a_reading_gives_the_claims_about_its_experiment_with_number_verdict_and_evidence(tmp_path):
@@ -192,7 +194,7 @@ def test_the_newest_greedy_games_are_those_of_an_evaluation_not_long_ago(tmp_pat
     """An evaluation counts until the checks along the way are more than a hundred games newer."""
     run = store(tmp_path, "boxing_final", DQN, np.full(900, 5.0))
     check(run, np.array([0.0, 10.0, 20.0, 30.0, 40.0]))
-    for trained, expected in ((400, [400, 40, 7.0]), (399, [500, VALUE_GAMES, 40.0])):
+    for trained, expected in ((400, [400, 7.0, 40]), (399, [VALUE_GAMES, 500, 40.0])):
         evaluate(run, trained=trained, score=7.0)
         line = lines(summaries.reading(study(tmp_path), "boxing_final"))[0]
         assert facts(line)[-3:] == expected
@@ -220,11 +222,9 @@ def test_a_reading_tells_where_a_run_stands_and_when_it_passed_the_human_score(t
     text = summaries.reading(study(tmp_path), "boxing_final")
     mean = pd.Series(curve).rolling(100).mean()
     passed = int(mean.gt(12.1).idxmax()) + 1
-    assert (
-        "DQN scores 20.0 points per episode over the last 100 of 300 episodes, 22% of its" in text
-    )
-    assert f"first passed the human 12.1 after episode {passed};" in text
-    assert "claims 1, 2, 3, 4 are still open" in text
+    assert "DQN scores 20.0 points per game over the last 100 of 300 games, with 22% random" in text
+    assert f"first passed the human 12.1 after game {passed};" in text
+    assert "Claims 1 to 4 of @tbl-findings are still open" in text
 
 
 def test_a_reading_puts_the_source_reports_scores_beside_ours_at_the_last_common_mark(tmp_path):
@@ -232,8 +232,8 @@ def test_a_reading_puts_the_source_reports_scores_beside_ours_at_the_last_common
     store(tmp_path, "boxing_final", "double_dqn", np.full(600, 20.0))
     stored = study(tmp_path)
     expected = (
-        "where both are known: DQN 60.0 and 51.6 (episodes 501 to 1,000), "
-        "Double DQN 20.0 and 29.0 (episodes 1 to 500)."
+        "where both are known: DQN 60.0 and 51.6 (games 501 to 1,000), "
+        "Double DQN 20.0 and 29.0 (games 1 to 500)."
     )
     for text in (summaries.reading(stored, "boxing_final"), summaries.conclusion(stored)):
         assert expected in text
@@ -249,14 +249,12 @@ def test_an_agent_that_has_just_begun_is_named_and_compared_with_nobody(tmp_path
     store(tmp_path, "boxing_final", "double_dqn", np.full(600, 9.0))
     store(tmp_path, "boxing_final", "dueling_double_dqn", np.full(120, 50.0))
     stored = study(tmp_path)
-    assert (
-        "Mean scores over training episodes 501 to 600 of Boxing: Double DQN 9.0, DQN 5.0 (a human"
-        in summaries.headline(stored)
-    )
-    assert "episodes 501 to 600 are Double DQN 9.0, DQN 5.0, and a human's" in summaries.conclusion(
-        stored
-    )
-    assert "Dueling Double DQN has played 120 episodes only" in summaries.conclusion(stored)
+    headline = summaries.headline(stored)
+    assert "After 600 games of Boxing each, Double DQN scores 9.0 points per game" in headline
+    assert "and DQN 5.0 (mean of the last 100 games" in headline
+    said = summaries.conclusion(stored)
+    assert "games 501 to 600 are Double DQN 9.0, DQN 5.0, and the human reference is 12.1" in said
+    assert "Dueling Double DQN has played only 120 games." in said
 
 
 def test_a_second_seed_that_has_just_begun_takes_nothing_from_the_first(tmp_path):
@@ -265,7 +263,8 @@ def test_a_second_seed_that_has_just_begun_takes_nothing_from_the_first(tmp_path
     section = stored["boxing_final"]
     second = section.episodes.head(120).assign(seed=2, score=90.0)
     section.__dict__["episodes"] = pd.concat([section.episodes, second])
-    assert "over training episodes 601 to 700 of Boxing: DQN 5.0 (a" in summaries.headline(stored)
+    headline = summaries.headline(stored)
+    assert "After 700 games of Boxing, DQN scores 5.0 points per game (mean" in headline
 
 
 def test_finished_runs_are_told_of_as_finished(tmp_path):
@@ -274,15 +273,13 @@ def test_finished_runs_are_told_of_as_finished(tmp_path):
         evaluate(run, score=mean)
     stored = study(tmp_path)
     headline = summaries.headline(stored)
-    assert (
-        "over training episodes 2,501 to 3,000 of Boxing: Double DQN 90.0, Dueling Double DQN 85.0"
-        in headline
-    )
+    said = "After 3,000 games of Boxing each, Double DQN scores 90.0 points per game, Dueling"
+    assert said in headline
     reading = summaries.reading(stored, "boxing_final")
     scored = pd.read_csv(run.folder / "evaluations.csv").score.mean()
-    said = f"Evaluated after 3,000 episodes (40 greedy ones): {scored:.1f}"
+    said = f"Evaluated after 3,000 training games, it scored {scored:.1f} (40 greedy games)"
     assert said in reading
-    assert "so far" not in headline.split("Of 21 claims")[0] + reading
+    assert "so far" not in (headline.split("The source report makes")[0] + reading).lower()
 
 
 def test_at_another_difficulty_no_human_score_is_passed(tmp_path):
@@ -298,31 +295,45 @@ TILE = re.compile(
 )
 
 
-def test_the_board_has_a_tile_for_every_claim_of_the_verdicts_kind(tmp_path):
-    text = summaries.board(three_true_and_one_false(tmp_path))
-    assert text.startswith("::: {.board}\n")
-    assert text.endswith("\n:::\n:::")
-    tiles = TILE.findall(text)
-    assert [int(number) for _, number, *_ in tiles] == list(range(1, len(FINDINGS) + 1))
-    assert [kind for kind, *_ in tiles[:4]] == ["yes", "yes", "no", "yes"]
-    untested = {number for _, number, short, *_ in tiles if "might have caught" in short}
-    untested |= {number for _, number, short, *_ in tiles if "exploiting too early" in short}
-    for kind, number, *_ in tiles[4:]:
-        assert kind == ("untested" if number in untested else "open"), number
-    words = re.findall(r'verdict="([^"]+)"', text)
-    assert words[:5] == [
-        *(f"in these runs: {word}" for word in ("yes", "yes", "no", "yes")),
-        "open",
+def test_the_board_has_a_tile_for_every_claim_that_says_something_and_a_line_for_the_others(
+    tmp_path,
+):
+    board, rest = summaries.board(three_true_and_one_false(tmp_path)).rsplit("\n\n", 1)
+    assert board.startswith("::: {.board}\n")
+    assert board.endswith("\n:::\n:::")
+    tiles = TILE.findall(board)
+    assert [int(number) for _, number, *_ in tiles] == [1, 2, 3, 4]
+    assert [kind for kind, *_ in tiles] == ["yes", "yes", "no", "yes"]
+    words = re.findall(r'verdict="([^"]+)"', board)
+    assert words == [f"in these runs: {word}" for word in ("yes", "yes", "no", "yes")]
+    assert not TILE.sub("", board).removeprefix("::: {.board}").removesuffix(":::").strip()
+    untested = [
+        number
+        for number, claim in enumerate(FINDINGS, start=1)
+        if "might have caught" in claim.short or "exploiting too early" in claim.short
     ]
-    assert words.count("not tested") == len(untested) == 2
-    assert not TILE.sub("", text).removeprefix("::: {.board}").removesuffix(":::").strip()
+    assert len(untested) == 2
+    assert untested == [len(FINDINGS) - 1, len(FINDINGS)], "so that the others are in a row"
+    listed = f"5 to {len(FINDINGS) - 2}", ", ".join(map(str, untested))
+    assert rest == "Claims of @tbl-findings still open: {}; not tested: {}.".format(*listed)
+
+
+def test_an_open_claim_has_a_tile_once_there_are_scores_of_ours(tmp_path):
+    store(tmp_path, "boxing_final", DQN, np.full(1200, 60.0))
+    (kind, number, *_, said, _), *_ = TILE.findall(summaries.board(study(tmp_path)))
+    assert (kind, number) == ("open", "1")
+    assert "Ours: DQN 60.0, Double DQN –" in said
+
+
+def test_without_runs_the_board_is_a_line():
+    assert summaries.board(study(Path("nowhere"))).startswith("Claims of @tbl-findings still open")
 
 
 def test_tiles_are_short_and_lead_to_sections_that_exist(tmp_path):
     notebooks = "".join(path.read_text("utf-8") for path in (ROOT / "notebooks").glob("*.ipynb"))
-    for _, number, short, _, section in TILE.findall(summaries.board(study(tmp_path))):
-        assert len(short) <= 60, number
-        assert f"{{#{section}" in notebooks, number
+    for number, claim in enumerate(FINDINGS, start=1):
+        assert len(claim.short) <= 60, number
+        assert f"{{#{claim.section}" in notebooks, number
 
 
 def test_a_tile_has_the_source_reports_scores_and_ours(tmp_path):
@@ -335,12 +346,11 @@ def test_a_tile_has_the_source_reports_scores_and_ours(tmp_path):
     theirs, mean = numbers(said["4"])
     assert theirs == 92.6
     assert mean == pytest.approx(60, abs=0.5)
-    theirs, ours = said["1"].split(" Here: ")
+    theirs, ours = said["1"].split(" Ours: ")
     assert facts(theirs) == ["DQN", 51.6, "Double DQN", 80.2, "Dueling Double DQN", 72.4]
     assert ours.endswith("Dueling Double DQN –.")
-    assert said["5"] == "Source: 15.4. Here: not there yet."
-    assert "Boxing 36.3, Breakout 4.9" in said["3"]
-    assert said["13"] == "", "the source report gives no number"
+    assert "5" not in said, "the source report alone has a score"
+    assert "Boxing 36.3, Breakout 4.9" in summaries._numbers(study(tmp_path), FINDINGS[2])
 
 
 def test_a_tile_has_an_interval_only_if_that_is_over_seeds():
@@ -427,3 +437,19 @@ def test_what_random_play_is_given_by_a_difficulty_is_told_when_both_are_measure
     assert found[1] < 6.5 < found[2]
     assert "higher" in summaries.head_start(study(tmp_path), *pair)
     assert "lower" in summaries.head_start(study(tmp_path), *reversed(pair))
+
+
+def test_how_long_an_agent_trains_is_told_of_each_run_that_there_is(tmp_path):
+    assert summaries.duration(study(tmp_path)["boxing_final"]) == ""
+    store(tmp_path, "boxing_final", DQN, np.zeros(3000))
+    store(tmp_path, "boxing_final", DOUBLE, np.zeros(250))
+    said = summaries.duration(study(tmp_path)["boxing_final"])
+    assert facts(said) == [3000, "DQN", 3000, 30.0, "Double DQN", 250, 2.5]
+
+
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [([4], "4"), ([1, 2], "1, 2"), ([1, 2, 3], "1 to 3"), ([1, 3, 4, 5, 8, 9], "1, 3 to 5, 8, 9")],
+)
+def test_three_claims_in_a_row_are_told_as_a_range(given, expected):
+    assert summaries._listed(given) == expected

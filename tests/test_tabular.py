@@ -68,7 +68,7 @@ def test_a_path_that_misses_the_goal_is_cut():
 
 def test_the_greatest_of_noisy_estimates_is_too_great_and_a_second_set_is_right():
     table = tabular.overestimation([1, 2, 3], samples=40_000)
-    believed = table.pivot(index="actions", columns="valued by", values="believed")
+    believed = table.pivot(index="actions", columns="evaluated with", values="believed")
     expected = [0, 1 / np.sqrt(np.pi), 1.5 / np.sqrt(np.pi)]  # of one, two and three normals
     assert believed["the same estimates"].tolist() == pytest.approx(expected, abs=0.02)
     assert believed["a second set"].tolist() == pytest.approx([0, 0, 0], abs=0.02)

@@ -237,6 +237,13 @@ def _(make, *_):
         assert set(trainer.memory.sample(50).discount_t) == {np.float32(gamma)}
 
 
+@case("n_steps")
+def _(make, *_):
+    trainer = make(n_steps=3, gamma=0.5)
+    steps(trainer, 20)
+    assert set(trainer.memory.sample(200).discount_t) == {0.125, 0.25, 0.5}
+
+
 @case("target_update_period", "tau")
 def _(make, *_):
     for learner in LEARNERS:

@@ -177,9 +177,9 @@ def _conditions(
     return {key: value for key, value in chosen.items() if value is not None}
 
 
-def _writable(video: Path | None) -> None:
-    if video is not None and (video.suffix != ".mp4" or not video.resolve().parent.is_dir()):
-        raise ParameterError(f"--video {str(video)!r}: expected FILE.mp4 in a folder that exists")
+def _writable(path: Path | None, name: str = "--video", suffix: str = ".mp4") -> None:
+    if path is not None and (path.suffix != suffix or not path.resolve().parent.is_dir()):
+        raise ParameterError(f"{name} {str(path)!r}: expected FILE{suffix} in a folder that exists")
 
 
 @app.command()
@@ -230,6 +230,22 @@ def replay(
         from atari_dqn.report.video import television
 
         write_atomically(video, television(records.replay(parameters, record)))
+
+
+@app.command()
+def export(
+    run_dir: RunFolder,
+    path: Annotated[Path, typer.Argument(help="The .npz file to write.")],
+    first: Annotated[int, typer.Option(min=1, help="The first training game.")] = 1,
+    last: Annotated[int, typer.Option(min=1, help="The last one.")] = 10,
+) -> None:
+    """Write training games as arrays to learn from offline: images, actions, rewards."""
+    _writable(path, "path", ".npz")
+
+    from atari_dqn.runs import dataset
+
+    games = dataset.export(run_dir, first, last, path)
+    print(f"{path}: {games} game{'s' * (games != 1)}")
 
 
 @app.command()

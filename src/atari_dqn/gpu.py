@@ -32,6 +32,7 @@ def new_memory(
         params.frame_stack,
         params.gamma,
         seed,
+        params.n_steps,
     )
     return ReplayMemory(*given) if device.type == "cpu" else GPUReplayMemory(*given, device)
 
@@ -49,9 +50,10 @@ class GPUReplayMemory(ReplayMemory):
         stack: int,
         gamma: float,
         seed: np.random.SeedSequence,
+        n_steps: int,
         device: torch.device,
     ):
-        super().__init__(capacity, streams, stack, gamma, seed)
+        super().__init__(capacity, streams, stack, gamma, seed, n_steps)
         # one row of streams after the other, as slots are numbered
         self.images = torch.zeros((self.rows * streams, PIXELS), dtype=torch.uint8, device=device)
 
@@ -130,9 +132,10 @@ class GraphLearner(Learner):
 
     def _recorded(self, images: Tensor, inputs: list[Tensor]) -> "_Graph":
         def update(slots: Tensor, a_tm1: Tensor, r_t: Tensor, discount_t: Tensor) -> Tensor:
-            planes = images[slots].unflatten(-1, (SIZE, SIZE))  # [S+1, N, 84, 84]
-            stacks = planes.permute(1, 2, 3, 0)
-            batch = Batch(stacks[..., :-1], a_tm1, r_t, discount_t, stacks[..., 1:])  # type: ignore[arg-type]
+            stacks = images[slots].unflatten(-1, (SIZE, SIZE)).permute(1, 2, 3, 0)
+            stack = self.params.frame_stack
+            s_tm1, s_t = stacks[..., :stack], stacks[..., -stack:]  # [N, 84, 84, S]
+            batch = Batch(s_tm1, a_tm1, r_t, discount_t, s_t)  # type: ignore[arg-type]
             return torch.stack(self._update(batch))
 
         before = deepcopy(self.get_state())

@@ -90,8 +90,10 @@ class Parameters(BaseModel):
     game: GameName = Field("boxing", description="name of the cartridge")
     frame_skip: int = Field(4, ge=1, le=16, description="frames an action is held for")
     frame_stack: int = Field(4, ge=1, le=8, description="images an observation holds")
-    noop_max: int = Field(30, ge=0, description="frames; most idle frames at a game's start")
-    max_game_frames: int = Field(108_000, ge=1, description="frames after which a game is cut")
+    noop_max: int = Field(
+        30, ge=0, description="frames; maximum number of idle frames at the start"
+    )
+    max_game_frames: int = Field(108_000, ge=1, description="frames after which a game is cut off")
     sticky_actions: Number = Field(0.0, ge=0, lt=1, description="probability per frame")
     difficulty: int = Field(0, ge=0, le=3, description="switches; 1 slows the agent, 2 its rival")
     clip_rewards: bool = Field(True, description="learn from the reward's sign only")
@@ -100,7 +102,9 @@ class Parameters(BaseModel):
     # Training: exploration
     epsilon_start: Number = Field(1.0, ge=0, le=1, description="probability of a random action")
     epsilon_decay: Number = Field(0.995, gt=0, le=1, description="factor per finished game")
-    epsilon_floor: Number = Field(0.01, ge=0, le=1, description="probability; epsilon's lowest")
+    epsilon_floor: Number = Field(
+        0.01, ge=0, le=1, description="lowest probability of a random action"
+    )
 
     # Training: replay and learning
     environments: int = Field(8, ge=1, le=64, description="emulators stepped in turn")
@@ -113,8 +117,9 @@ class Parameters(BaseModel):
     warmup_learning_rate: Number = Field(0.0, ge=0, description="step size before the first game")
     adam_epsilon: Number = Field(1e-8, gt=0, description="added to Adam's denominator")
     gamma: Number = Field(0.99, ge=0, lt=1, description="discount per agent step")
+    n_steps: int = Field(1, ge=1, le=16, description="agent steps of reward before a value is used")
     target_update_period: int = Field(2000, ge=1, description="updates between target updates")
-    tau: Number = Field(1.0, gt=0, le=1, description="share of the way to the online weights")
+    tau: Number = Field(1.0, gt=0, le=1, description="fraction moved towards the online weights")
 
     # Training: transfer
     initial_weights: str = Field(

@@ -40,7 +40,8 @@ class Batch:
 class Drawn:
     """Transitions of the memory, N of them."""
 
-    slots: np.ndarray  # int64 [S+1, N], of the images x_{t-S} to x_t, oldest first
+    slots: np.ndarray  # int64, of the images, oldest first: the first S rows are s_tm1, the last S
+    # are s_t; [S+1, N], or with several steps of reward [2S, N]
     a_tm1: np.ndarray  # int64 [N]
     r_t: np.ndarray  # float32 [N]
     discount_t: np.ndarray  # float32 [N]
@@ -139,12 +140,22 @@ class ReplayMemory:
     """A ring of `capacity` slots, shared equally by `streams` environments. `gamma` is the
     discount of a step; a game that was merely cut goes on, as far as it is concerned.
 
+    With `n_steps` above 1 a transition spans so many steps, or fewer where its game ends or the
+    memory does: s_t is the last step's, r_t the discounted sum of their rewards (Sutton, 1988).
+
     Sampling from it before it holds a transition raises ValueError.
     """
 
     def __init__(
-        self, capacity: int, streams: int, stack: int, gamma: float, seed: np.random.SeedSequence
+        self,
+        capacity: int,
+        streams: int,
+        stack: int,
+        gamma: float,
+        seed: np.random.SeedSequence,
+        n_steps: int = 1,
     ):
+        self.n_steps = n_steps
         self.rows, self.streams, self.stack = capacity // streams, streams, stack
         self.gamma = gamma
         self.rng = np.random.default_rng(seed)
@@ -189,24 +200,43 @@ class ReplayMemory:
         drawn = self.draw(count)
         images = self._images(drawn.slots)
         return Batch(
-            s_tm1=interleave(images[:-1]),
+            s_tm1=interleave(images[: self.stack]),
             a_tm1=drawn.a_tm1,
             r_t=drawn.r_t,
             discount_t=drawn.discount_t,
-            s_t=interleave(images[1:]),
+            s_t=interleave(images[-self.stack :]),
         )
 
     def draw(self, count: int) -> "Drawn":
         """The same transitions, their images by slot."""
         rows, streams = self._draw(count)
         ages = self.ages[rows, streams]
+        rewards, steps = self.rewards[rows, streams], np.ones(count, np.int64)
+        for step in range(1, self.n_steps):
+            goes_on = self._goes_on(rows, streams, step)
+            following = self.rewards[(rows + step) % self.rows, streams]
+            rewards = rewards + np.where(goes_on, np.float32(self.gamma**step) * following, 0)
+            steps += goes_on
+        last = (rows + steps - 1) % self.rows
         back = np.arange(self.stack, -1, -1)[:, None]  # S, ..., 1, 0 slots back
+        slots = (rows - np.minimum(back, ages)) % self.rows * self.streams + streams  # [S+1, N]
+        if self.n_steps > 1:
+            after = (last - np.minimum(back[1:], ages + steps - 1)) % self.rows
+            slots = np.concatenate([slots[:-1], after * self.streams + streams])  # [2S, N]
+        ended = self.terminated[last, streams]
         return Drawn(
-            slots=(rows - np.minimum(back, ages)) % self.rows * self.streams + streams,
+            slots=slots,
             a_tm1=self.actions[rows, streams].astype(np.int64),
-            r_t=self.rewards[rows, streams],
-            discount_t=np.where(self.terminated[rows, streams], 0, self.gamma).astype(np.float32),
+            r_t=rewards.astype(np.float32),
+            discount_t=np.where(ended, 0, self.gamma**steps).astype(np.float32),
         )
+
+    def _goes_on(self, rows: np.ndarray, streams: np.ndarray, steps: int) -> np.ndarray:
+        """bool [N]: whether the game of each slot goes on for so many steps, in the memory."""
+        oldest = self.row if self.full else 0
+        place = (rows - oldest) % self.rows + steps
+        later = self.ages[(rows + steps) % self.rows, streams]
+        return (place < len(self) // self.streams) & (later == self.ages[rows, streams] + steps)
 
     def _draw(self, count: int) -> tuple[np.ndarray, np.ndarray]:
         """Rows and streams of `count` transitions; rejected draws are drawn again."""

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import pandas as pd
 
+from atari_dqn.analysis.statistics import BLOCK
 from atari_dqn.analysis.study import Study
 from atari_dqn.analysis.verdicts import (
     DOUBLE,
@@ -75,11 +76,11 @@ def table(claims: tuple[Claim, ...], study: Study) -> pd.DataFrame:
 # way. "Implied": it shows or suggests this without saying so.
 FINDINGS = (
     Claim(
-        "All three agents exceed the human score in Boxing after 1,000 episodes",
+        "All three agents exceed the human score in Boxing after 1,000 games",
         "2.1",
         ("boxing_final",),
         lambda study: human_level(study, "boxing_final", milestone=2),
-        "All agents are above the human in Boxing after 1,000",
+        "All agents are above the human in Boxing after 1,000 games",
         "sec-boxing",
         _scores("boxing_final", ALL, 2),
     ),
@@ -95,7 +96,7 @@ FINDINGS = (
         _scores("boxing_final", ALL, 6),
     ),
     Claim(
-        "Dueling Double DQN is the best of the first 500 episodes in both games",
+        "Dueling Double DQN is the best of the first 500 games in both games",
         "2.1",
         ("boxing_final", "breakout_final"),
         lambda study: all_of(
@@ -147,11 +148,11 @@ FINDINGS = (
     ),
     Claim(
         "Preprocessing, and the settings that came with it, make the agents considerably better in "
-        "Breakout (only DQN was trained before it, and can be compared)",
+        "Breakout (only DQN was trained before it, and can be compared; any improvement counts)",
         "3.2.3",
         ("breakout_early", "breakout_late"),
         lambda study: all_of(compare_evaluations(study, "breakout_late", "breakout_early")),
-        "Preprocessing makes DQN considerably better in Breakout",
+        "Preprocessing and its settings make DQN better in Breakout",
         "sec-breakout-early",
     ),
     Claim(
@@ -159,22 +160,22 @@ FINDINGS = (
         "3.2.3",
         ("breakout_late",),
         lambda study: compare_agents(study, "breakout_late", DQN, REFINED, 6),
-        "DQN is the best of the later Breakout experiment",
+        "DQN is the best in the second of three Breakout experiments",
         "sec-breakout-late",
         _scores("breakout_late", [DQN], 6),
     ),
     Claim(
-        "Breakout improves with a price on lost lives (and with larger batches, and with less "
-        "exploration in the end)",
+        "A penalty for losing a life helps in Breakout (together with larger batches and less "
+        "exploration at the end)",
         "3.3.1, implied",
         ("breakout_final", "breakout_late"),
         lambda study: all_of(compare_evaluations(study, "breakout_final", "breakout_late")),
-        "A price on lost lives improves Breakout",
+        "A life penalty, with other changes, helps in Breakout",
         "sec-breakout",
     ),
     Claim(
-        "The early Boxing settings (a learning rate of 0.001, batches of 64, an epsilon of 0.1 at "
-        "the least) learn less than the final ones",
+        "The early Boxing settings (a learning rate of 0.001, batches of 64, a minimum epsilon of "
+        "0.1) learn less than the final ones",
         "3.3.1",
         ("boxing_early",),
         lambda study: all_of(compare_greedy_checks(study, "boxing_final", "boxing_early")),
@@ -182,7 +183,7 @@ FINDINGS = (
         "sec-boxing-early",
     ),
     Claim(
-        "With them, the learning curve oscillates more",
+        "With the early Boxing settings, the learning curve oscillates more",
         "3.3.1",
         ("boxing_early",),
         lambda study: compare_steadiness(
@@ -191,7 +192,7 @@ FINDINGS = (
             ("boxing_early", DQN),
             study["boxing_early"].params.episodes,
         ),
-        "With them, the learning curve oscillates more",
+        "With the early Boxing settings, the curve oscillates more",
         "sec-boxing-early",
     ),
     Claim(
@@ -223,7 +224,8 @@ FINDINGS = (
         "sec-high-gamma",
     ),
     Claim(
-        "All agents learn faster in expert mode: they gain more in the first 500 episodes",
+        "All agents learn faster in expert mode: in the first 500 games they gain more over their "
+        f"own first {BLOCK}",
         "additional",
         ("boxing_expert",),
         lambda study: all_of(
@@ -233,8 +235,8 @@ FINDINGS = (
         "sec-expert",
     ),
     Claim(
-        f"Starting from a Breakout agent is worth less than {MARGIN:g} points in Boxing, early "
-        "(first 500 episodes) and at the end",
+        f"Starting from a Breakout agent helps little in Boxing: by less than {MARGIN:g} points, "
+        "early (first 500 games) and at the end",
         "additional",
         ("boxing_transfer",),
         lambda study: all_of(
@@ -250,12 +252,12 @@ FINDINGS = (
                 )
             ]
         ),
-        "A start from a Breakout agent is worth little in Boxing",
+        "Starting from a Breakout agent helps little in Boxing",
         "sec-transfer",
     ),
     Claim(
         f"A discount of 0.995 changes the score, by more than {MARGIN:g} points up or down against "
-        "0.99 (the effect is called surprising, and its direction is not said)",
+        "0.99 (the effect is called surprising, its direction is not stated)",
         "3.3.2",
         ("boxing_high_gamma",),
         lambda study: all_of(
@@ -265,8 +267,9 @@ FINDINGS = (
         "sec-high-gamma",
     ),
     Claim(
-        "Tuning the learning rate, the batch size and the number of episodes all helped in Boxing: "
-        "the final ones score more than a higher rate, than larger batches and than fewer episodes",
+        "Tuning the learning rate, the batch size and the number of games all helped in Boxing: "
+        "a higher rate, larger batches and fewer games (901 to 1,400) score lower than the final "
+        "settings",
         "3.3.2",
         ("boxing_sensitivity",),
         lambda study: all_of(
@@ -278,12 +281,12 @@ FINDINGS = (
                 improves(study, "boxing_final", DUELING, until=1400, episodes=500),
             ]
         ),
-        "Tuning rate, batch size and episodes all helped in Boxing",
+        "Tuning rate, batch size and games all helped in Boxing",
         "sec-sensitivity",
     ),
     Claim(
         "Clipped rewards make learning in Boxing faster than raw ones: they score more over the "
-        "first 500 episodes",
+        "first 500 games",
         "3.1.1",
         ("boxing_sensitivity",),
         lambda study: beats_variation(study, "boxing_final", "boxing_sensitivity", "raw rewards"),
@@ -291,8 +294,8 @@ FINDINGS = (
         "sec-sensitivity",
     ),
     Claim(
-        "With the early Boxing settings, DQN still improves: its last 500 episodes score more than "
-        "its first 500",
+        "With the early Boxing settings, DQN still improves: its last 500 games score more than "
+        "its first 500, by any amount",
         "3.3.1",
         ("boxing_early",),
         lambda study: improves(study, "boxing_early", DQN, until=500, episodes=500),
@@ -315,17 +318,17 @@ FINDINGS = (
                 for agent in REFINED
             ]
         ),
-        "Double Q-learning is less stable in later Breakout",
+        "Double Q-learning is less stable in the second Breakout run",
         "sec-breakout-late",
     ),
     Claim(
-        "With more than 3,000 episodes of later Breakout they might have caught up with DQN",
+        "With more than 3,000 games of later Breakout they might have caught up with DQN",
         "3.2.3",
         ("breakout_late",),
         lambda study: Verdict(
-            Outcome.UNTESTED, "no run is longer than the 3,000 episodes of the source report"
+            Outcome.UNTESTED, "no run is longer than the 3,000 games of the source report"
         ),
-        "With more episodes they might have caught up with DQN",
+        "With more games they might have caught up with DQN",
         "sec-breakout-late",
     ),
     Claim(
@@ -345,7 +348,7 @@ FINDINGS = (
 
 def findings(study: Study) -> pd.DataFrame:
     """The verdicts on `FINDINGS`."""
-    return table(FINDINGS, study)
+    return table(FINDINGS, study).rename(columns={"source": "its section"})
 
 
 # How the source report explains its findings (its section 2.1).
@@ -374,7 +377,7 @@ INTERPRETATIONS = (
         ),
     ),
     Claim(
-        "The games differ because Boxing is highly stochastic as it was trained",
+        "The games differ because Boxing is highly stochastic as trained",
         "2.1",
         (),
         lambda study: Verdict(
@@ -383,7 +386,7 @@ INTERPRETATIONS = (
         ),
     ),
     Claim(
-        "Replay and a second network make DQN better than what was before it",
+        "Replay and a second network make DQN better than earlier methods",
         "2.1",
         (),
         lambda study: Verdict(Outcome.UNTESTED, "no agent without them is trained; see @mnih2015"),
@@ -398,7 +401,7 @@ def _premise(verdict: Verdict, what: str) -> Verdict:
 
 def interpretations(study: Study) -> pd.DataFrame:
     """What the runs say on the premises of `INTERPRETATIONS`."""
-    names = {"claim": "interpretation", "verdict": "its premise"}
+    names = {"claim": "interpretation", "source": "its section", "verdict": "premise"}
     return table(INTERPRETATIONS, study).rename(columns=names)
 
 
@@ -407,7 +410,7 @@ def interpretations(study: Study) -> pd.DataFrame:
 GOALS = (
     Claim(
         "Beat the computer's boxer even at the highest difficulty",
-        "a training curve without numbers (figure 21); whether it is beaten is not said",
+        "a training curve without numbers (figure 21); whether it is beaten is not stated",
         ("boxing_final",),
         beaten_everywhere,
     ),
@@ -452,6 +455,6 @@ REACHED = dict(zip(Outcome.YES.value, ("reached in these runs", "reached"), stri
 
 def goals(study: Study) -> pd.DataFrame:
     """How far `GOALS` are reached."""
-    names = {"claim": "goal", "source": "the source report", "verdict": "here"}
+    names = {"claim": "goal", "source": "the source report", "verdict": "our verdict"}
     found = table(GOALS, study).rename(columns=names)
-    return found.assign(here=found.here.replace(REACHED))
+    return found.assign(**{"our verdict": found["our verdict"].replace(REACHED)})

@@ -26,12 +26,32 @@ from atari_dqn.runs.run import (
 )
 
 FRAMES_PER_MINUTE = 60 * 60
+TITLES = {  # what captions call an experiment
+    "boxing_final": "Boxing, final settings",
+    "breakout_final": "Breakout, final settings",
+    "breakout_late": "Breakout with all preprocessing",
+    "breakout_early": "Breakout, first attempt",
+    "boxing_early": "Boxing, first attempt",
+    "boxing_expert": "Boxing, expert mode",
+    "boxing_low_gamma": "Boxing, discount 0.9",
+    "boxing_high_gamma": "Boxing, discount 0.995",
+    "boxing_transfer": "Boxing, transfer from Breakout",
+    "boxing_sensitivity": "Boxing, one change at a time",
+    "boxing_transfer_controls": "Boxing, controls of transfer",
+}
 
 
 def data(name: str) -> Any:
     """What a file of notebooks/data/ holds."""
     path = project_root() / "notebooks" / "data" / f"{name}.yaml"
     return YAML(typ="safe", pure=True).load(path.read_text(encoding="utf-8"))
+
+
+def spelled(variation: str) -> str:
+    """A variation's label as a reader expects it: "learning rate × ¼"."""
+    for plain, sign in {" x ": " × ", "1/4": "¼", "1/2": "½"}.items():
+        variation = variation.replace(plain, sign)
+    return variation
 
 
 class Section:
@@ -55,6 +75,7 @@ class Section:
         self.facts: GameFacts = GAMES[self.params.game]
         self.slug = experiment.replace("_", "-")  # what this section's labels hold
         self.name = f"`{experiment}`"  # what sentences call it
+        self.title = TITLES.get(experiment, f"{self.facts.title}, {self.name}")
         folder = results_folder(profile, results_dir)
         self.runs = runs_of(self.params, folder)
         # How many episodes a point of a learning curve, and a number at a milestone, is the mean of
@@ -75,7 +96,7 @@ class Section:
         ]:
             delattr(part, name)
         part.runs = [run for run in self.runs if run.variation == variation]
-        part.name = f"{self.name} ({variation})"
+        part.name = f"{self.name} ({spelled(variation)})"
         return part
 
     @cached_property
@@ -214,14 +235,14 @@ class Section:
         return f"results/runs/{name}/{agents}/seed-*/"
 
     def counted(self) -> str:
-        """How many seeds and games there are, for captions."""
+        """How many seeds there are, for a caption, and what follows if they are few."""
         if self.episodes.empty:
             return "no run stored yet"
         seeds = self.episodes.groupby("agent").seed.nunique()
         low, high = seeds.min(), seeds.max()
         number = f"{low}" if low == high else f"{low} to {high}"
-        few = "; indicative only" if low <= 3 else ""
-        return f"seeds per agent: {number}; {len(self.episodes):,} training games{few}"
+        runs = f"{number} run{'s' * bool(high > 1)} per agent"
+        return runs if low > 2 else f"{runs}, so no statement about the algorithms"
 
 
 class Study:

@@ -29,6 +29,7 @@ from atari_dqn.analysis.verdicts import (
 )
 
 EARLY = 500  # episodes, before which an agent still acts mostly at random
+BEST = 100  # points of a game of Boxing: a knock-out, and nothing conceded
 RECENT = 100  # episodes, of which the score of a run in progress is the mean
 UNJUDGED = [*Outcome.OPEN.value, *Outcome.UNTESTED.value]
 
@@ -77,7 +78,7 @@ class Standings:
 
     @property
     def episodes(self) -> str:
-        return f"training episodes {self.first:,} to {self.last:,}"
+        return f"training games {self.first:,} to {self.last:,}"
 
     @property
     def listed(self) -> str:
@@ -101,19 +102,37 @@ def headline(study: Study) -> str:
     section, verdicts = study["boxing_final"], findings(study).verdict
     if (found := standings(section)) is None:
         played, planned = _played(study)
-        text = f"Training has only begun: {played:,} of {planned:,} planned episodes are played."
+        text = f"Training has only begun: {played:,} of {planned:,} planned games are played."
     else:
-        text = (
-            f"Mean scores over {found.episodes} of Boxing: {found.listed} (a human "
-            f"{section.facts.human:g}, random play {section.facts.random:g})."
-        )
+        text = _scored(section, found)
     testable, judged = _judged(verdicts)
-    claims = f"{testable} claims of the source report that runs can judge"
+    claims = f"The source report makes {testable} claims that can be tested by training"
     if judged.empty:
-        return f"**{text}** Of {claims}, none is judged yet."
-    counted = ", ".join(f"{number} \u201c{word}\u201d" for word, number in judged.items())
-    so_far = " so far" if judged.sum() < testable else ""
-    return f"**{text}** Of {claims}, {judged.sum()} are judged{so_far} ({counted})."
+        claims += "; none has been decided yet."
+    else:
+        counted = ", ".join(f"{number} \u201c{word}\u201d" for word, number in judged.items())
+        verb = "has" if judged.sum() == 1 else "have"
+        so_far = " so far" if judged.sum() < testable else ""
+        claims += f"; {judged.sum()} {verb} been decided{so_far} ({counted})."
+    return " ".join(filter(None, (f"**{text}**", beside_source(section), claims)))
+
+
+def _scored(section: Section, found: Standings) -> str:
+    """What the agents of an experiment score, between the best, a human and random play."""
+    planned, facts = len(section.params.agents), section.facts
+    trained, few = len(found.means), len(found.means) < planned
+    verb = "has" if trained == 1 else "have"
+    text = f"So far {trained} of the {planned} agents {verb} been trained. " * few
+    (best, top), *others = found.means.items()
+    said = [f"{best} scores {top:.1f} points per game"]
+    said += [f"{agent} {mean:.1f}" for agent, mean in others]
+    listed = " and ".join(filter(None, (", ".join(said[:-1]), said[-1])))
+    each = " each" * bool(others)
+    return (
+        f"{text}After {found.last:,} games of {facts.title}{each}, {listed} (mean of the last "
+        f"{found.last - found.first + 1} games; best possible {BEST}; one human tester "
+        f"{facts.human:g}; random play {facts.random:g})."
+    )
 
 
 def _judged(verdicts: pd.Series) -> tuple[int, pd.Series]:
@@ -138,19 +157,19 @@ def conclusion(study: Study) -> str:
             continue
         text = (
             f"In {section.facts.title}, mean scores over {found.episodes} are {found.listed}, "
-            f"and a human's {section.facts.human:g}."
+            f"and the human reference is {section.facts.human:g}."
         )
         played = section.episodes.groupby("agent").episode.max().rename(index=params.title)
         for agent in map(params.title, section.params.agents):
             if agent not in played:
                 text += f" {agent} has not begun."
             elif agent not in found.means:
-                text += f" {agent} has played {played[agent]:,} episodes only."
+                text += f" {agent} has played only {played[agent]:,} games."
         said.append(f"{text} {beside_source(section)}".strip())
     if not said:
         played, planned = _played(study)
         said.append(
-            f"With {played / planned:.1%} of the planned episodes played, no agent can be called "
+            f"With {played / planned:.1%} of the planned games played, no agent can be called "
             "the better one yet. What stands already does not depend on them: what the literature "
             "says (@tbl-literature), how the two games work (@sec-games), where the source report "
             "leaves a choice open (@tbl-deviations), and what training costs (@sec-speed)."
@@ -161,6 +180,23 @@ def conclusion(study: Study) -> str:
     for verdict, rows in judged[~judged.verdict.isin(UNJUDGED)].groupby("verdict", sort=False):
         said.append(f"*{str(verdict).capitalize()}*: {'; '.join(rows.claim)}.")
     return "\n\n".join(said)
+
+
+def duration(section: Section) -> str:
+    """How many games an experiment's agents are trained for, and the hours they have taken; empty
+    without runs."""
+    if section.episodes.empty:
+        return ""
+    last = section.episodes.groupby(["agent", "seed"], sort=False).tail(1)
+    said = [
+        f"{params.title(str(row.agent))}'s first {row.episode:,} took "
+        f"{row.seconds / 3600:.1f} hours"
+        for row in last.itertuples()
+    ]
+    return (
+        f"An agent is trained for {section.params.episodes:,} games, the source report's number. "
+        f"On one processor core each, in {section.facts.title}, {' and '.join(said)}."
+    )
 
 
 def over_seeds(study: Study) -> str:
@@ -208,14 +244,40 @@ def head_start(study: Study, experiment: str, base: str) -> str:
 
 def board(study: Study) -> str:
     """The verdicts at a glance: a division of class `board` with one of class `tile` per claim,
-    and of its verdict's class."""
-    tiles = []
+    and of its verdict's class. Claims of which there is nothing to see yet share a line below."""
+    tiles, others = [], dict[Outcome, list[int]]()
     for number, claim in enumerate(FINDINGS, start=1):
-        found = claim.judge(study)
-        lines = [f"**{number}** {claim.short}.", _numbers(study, claim), f"@{claim.section}"]
+        found, scores = claim.judge(study), _numbers(study, claim)
+        if found.verdict in UNJUDGED and not (scores and PENDING not in scores):
+            others.setdefault(found.outcome, []).append(number)
+            continue
+        lines = [f"**{number}** {claim.short}.", scores, f"@{claim.section}"]
         kind = f'.{found.outcome.name.lower()} verdict="{found.verdict}"'
         tiles.append(f"::: {{.tile {kind}}}\n" + "\n\n".join(filter(None, lines)) + "\n:::")
-    return "::: {.board}\n" + "\n\n".join(tiles) + "\n:::"
+    said = "; ".join(
+        f"{word}: {_listed(others[outcome])}"
+        for outcome, word in ((Outcome.OPEN, "still open"), (Outcome.UNTESTED, "not tested"))
+        if outcome in others
+    )
+    board = "::: {.board}\n" + "\n\n".join(tiles) + "\n:::" if tiles else ""
+    rest = f"Claims of @tbl-findings {said}." if said else ""
+    return "\n\n".join(filter(None, (board, rest)))
+
+
+def _listed(numbers: list[int]) -> str:
+    """Rising numbers in words: "1, 3 to 5"; two in a row are no range."""
+    parts: list[list[int]] = []
+    for number in numbers:
+        if parts and number == parts[-1][-1] + 1:
+            parts[-1].append(number)
+        else:
+            parts.append([number])
+    return ", ".join(
+        f"{part[0]} to {part[-1]}" if len(part) > 2 else ", ".join(map(str, part)) for part in parts
+    )
+
+
+PENDING = "Ours: pending"
 
 
 def _numbers(study: Study, claim: Claim) -> str:
@@ -235,8 +297,8 @@ def _numbers(study: Study, claim: Claim) -> str:
         reached |= found is not None
     if not theirs:
         return ""
-    here = ", ".join(ours) if reached else "not there yet"
-    return f"Source: {', '.join(theirs)}. Here: {here}."
+    here = f"Ours: {', '.join(ours)}" if reached else PENDING
+    return f"Source: {', '.join(theirs)}. {here}."
 
 
 def _over_seeds(found: Mean | None) -> str:
@@ -264,7 +326,7 @@ def neighbours(study: Study) -> str:
         return ""
     middle, most = float(np.median(found)), max(found)
     return (
-        f"Between successive blocks of {BLOCK} training episodes the correlation is measured in "
+        f"Between successive blocks of {BLOCK} training games the correlation is measured in "
         f"{len(found)} stretches of our runs: {min(found):.2f} to {most:.2f}, with a median of "
         f"{middle:.2f}. At that median, an interval of {number} blocks that is said to hold the "
         f"mean in 95% of cases does so in {coverage(middle, number):.0%} (simulated); at the "
@@ -287,7 +349,7 @@ def reading(study: Study, experiment: str) -> str:
             lines.append(f"- {params.title(str(agent))}{seeds}{said}.")
         if beside := beside_source(section):
             lines.append(f"- {beside}")
-    waiting: list[str] = []
+    waiting: list[int] = []
     untested: list[str] = []
     for number, claim in enumerate(FINDINGS, start=1):
         if experiment not in claim.experiments:
@@ -295,16 +357,16 @@ def reading(study: Study, experiment: str) -> str:
         found = claim.judge(study)
         said = f"- *{found.verdict.capitalize()}*: claim {number}, {claim.text}. ({found.evidence})"
         if found.outcome == Outcome.OPEN:
-            waiting.append(str(number))
+            waiting.append(number)
         else:
             (untested if found.outcome == Outcome.UNTESTED else lines).append(said)
     if not lines:
         return ""
     lines += untested
     if waiting:
-        noun, verb = ("claims", "are") if len(waiting) > 1 else ("claim", "is")
-        lines.append(f"- Of @tbl-findings, {noun} {', '.join(waiting)} {verb} still open.")
-    head = "**What was found:**" if section.complete else "**What was found so far:**"
+        noun, verb = ("Claims", "are") if len(waiting) > 1 else ("Claim", "is")
+        lines.append(f"- {noun} {_listed(waiting)} of @tbl-findings {verb} still open.")
+    head = "**Findings:**" if section.complete else "**Findings so far:**"
     return f"{head}\n\n" + "\n".join(lines)
 
 
@@ -319,20 +381,22 @@ def _progress(section: Section, played: pd.DataFrame) -> str:
     finished = number >= section.params.episodes
     scores, window = played.set_index("episode").score, _window(section, finished)
     if number < window:
-        return f" has played {number:,} episodes, too few for a mean of {window}"
+        return f" has played {number:,} games, too few for a mean of {window}"
     text = (
-        f" scores {scores.tail(window).mean():.1f} points per episode over the last {window} of "
-        f"{number:,} episodes, {played.epsilon.iloc[-1]:.0%} of its actions being random"
+        f" scores {scores.tail(window).mean():.1f} points per game over the last {window} of "
+        f"{number:,} games, with {played.epsilon.iloc[-1]:.0%} random actions"
     )
     recent = min(RECENT, section.params.episodes)
     means = trailing_mean(scores, recent).dropna()
     above = means[means > human]
     if len(above) and section.default_difficulty:
-        text += f"; the mean of {recent} episodes first passed the human {human:g} after episode "
+        text += f"; the mean of {recent} games first passed the human {human:g} after game "
         text += f"{above.index[0]:,}"
     fall = (means.cummax() - means).max()
     so_far = "" if finished else " so far"
-    return f"{text}; at its worst{so_far} that mean was {fall:.1f} points below its earlier best"
+    return (
+        f"{text}; the largest drop{so_far} of this mean from its earlier peak was {fall:.1f} points"
+    )
 
 
 def _without_exploring(evaluated: pd.DataFrame, checks: pd.DataFrame) -> str:
@@ -345,12 +409,12 @@ def _without_exploring(evaluated: pd.DataFrame, checks: pd.DataFrame) -> str:
     fresh = tried >= checked - RECENT
     if fresh:
         return (
-            f". Evaluated after {tried:,} episodes ({len(evaluated)} greedy ones): "
-            f"{evaluated.score.mean():.1f}"
+            f". Evaluated after {tried:,} training games, it scored {evaluated.score.mean():.1f} "
+            f"({len(evaluated)} greedy games)"
         )
     return (
-        f". Last check, after {checked:,} episodes ({params.VALUE_GAMES} greedy ones): "
-        f"{checks.score.iloc[-1]:.1f}"
+        f". In the latest check ({params.VALUE_GAMES} greedy games after game {checked:,}) it "
+        f"scored {checks.score.iloc[-1]:.1f}"
     )
 
 
@@ -385,7 +449,7 @@ def _ending(games: pd.DataFrame, full: int) -> pd.Series:
     return pd.Series(
         {
             "won by knock-out, %": 100 * won.mean(),
-            "seconds per episode": 60 * minutes / len(games),
+            "seconds per game": 60 * minutes / len(games),
             "points per minute": games.score.sum() / minutes,
         }
     )
@@ -402,7 +466,7 @@ def values_reading(section: Section) -> str:
         said.append(
             f"{params.title(str(agent))}{seeds} predicts {errors.mean():.1f} more than what "
             f"follows, on average over {len(checks)} checks, and {last.predicted:.1f} against "
-            f"{last.realised:.1f} at the last, after {last.episode:,.0f} episodes"
+            f"{last.realised:.1f} at the last, after {last.episode:,.0f} games"
         )
     return f"{'; '.join(said)}."
 
@@ -417,7 +481,7 @@ def beside_source(section: Section) -> str:
             first = milestone - section.milestone_window + 1
             ours = section.scores(agent, first, milestone)
             if score is not None and len(ours):
-                which = f"episodes {first:,} to {milestone:,}"
+                which = f"games {first:,} to {milestone:,}"
                 said.append(f"{params.title(agent)} {ours.mean():.1f} and {score:.1f} ({which})")
                 less |= ours.mean() < score
                 break
@@ -442,7 +506,7 @@ OBJECTIVES = {
 
 
 def objectives() -> pd.DataFrame:
-    """The source report's six learning objectives, and the sections that serve them."""
+    """The source report's six learning objectives, and the sections that address them."""
     return pd.DataFrame(
-        {"objective": OBJECTIVES.keys(), "where this study serves it": OBJECTIVES.values()}
+        {"objective": OBJECTIVES.keys(), "where this study addresses it": OBJECTIVES.values()}
     )

@@ -212,8 +212,8 @@ def _enough(section: Section, scores: np.ndarray) -> bool:
 
 
 def _not_yet(*sections: Section) -> Verdict:
-    shares = [f"{each.name} {_share(each)}" for each in sections if not each.complete]
-    said = f"episodes played: {', '.join(shares)}" if shares else "too few episodes for an interval"
+    shares = [f"{each.name} ({_share(each)})" for each in sections if not each.complete]
+    said = f"waiting for {', '.join(shares)}" if shares else "too few games for an interval"
     return Verdict(Outcome.OPEN, said)
 
 
@@ -298,7 +298,7 @@ def improves(study: Study, experiment: str, agent: str, until: int, episodes: in
         return _not_yet(section)
     late, before = scores[:, last - episodes :], scores[:, max(0, until - episodes) : until]
     low, high = _difference(blocks(late), blocks(before))
-    said = f"{params.title(agent)} over the last {episodes} of {last:,} episodes, and up to "
+    said = f"{params.title(agent)} over the last {episodes} of {last:,} games, and up to "
     said += f"{until:,}: {late.mean():.1f} against {before.mean():.1f}, difference {low:.1f} to "
     said += f"{high:.1f}"
     return Verdict(MORE(low, high), said, len(scores))
@@ -356,7 +356,7 @@ def compare_greedy_checks(study: Study, first: str, second: str) -> list[Verdict
         sides = one[common].to_numpy(), other[common].to_numpy()
         low, high = _difference(*sides)
         means = _against(pair, (agent, agent), [found.mean() for found in sides])
-        said = f"greedy episodes along the way: {means}, difference {low:.1f} to {high:.1f}"
+        said = f"greedy games along the way: {means}, difference {low:.1f} to {high:.1f}"
         verdicts.append(Verdict(MORE(low, high), said, min(map(len, sides))))
     return verdicts or [_ALONE]
 
@@ -421,7 +421,7 @@ def compare_style(study: Study, first: str, second: str, measure: str) -> list[V
 def _not_measured(*sections: Section) -> Verdict:
     """What is missing of two experiments' styles: training, or measuring it."""
     if all(section.complete for section in sections):
-        return Verdict(Outcome.OPEN, "the styles of their greedy episodes are not measured yet")
+        return Verdict(Outcome.OPEN, "the styles of their greedy games are not measured yet")
     return _not_yet(*sections)
 
 
@@ -517,9 +517,13 @@ def beaten_everywhere(study: Study) -> Verdict:
     if not played.empty:
         as_trained = played.epsilon == section.params.evaluation_epsilon
         played = played[(played.sticky_actions == 0) & as_trained]
+    if played.empty:
+        planned = f"{DIFFICULTIES} difficulties planned"
+        said = f"none of the {len(section.params.agents)} agents evaluated yet ({planned})"
+        return Verdict(Outcome.OPEN, said)
     verdicts = []
     for agent in section.params.agents:
-        own = played if played.empty else played[played.agent == agent]
+        own = played[played.agent == agent]
         verdicts.append(_beaten_by(agent, own, len(section.params.seeds)))
     found = all_of(verdicts)
     if found.outcome == Outcome.OPEN:
@@ -564,5 +568,5 @@ def runs_finished(study: Study, names: list[str]) -> Verdict:
     share = np.mean([section.share for section in sections])
     done = all(section.complete for section in sections)
     said = ", ".join(f"{section.name} {_share(section)}" for section in sections)
-    said = f"{share:.0%} of the episodes played ({said})"
+    said = f"{share:.0%} of the games played ({said})"
     return Verdict(Outcome.YES if done else Outcome.OPEN, said, SEEDS)

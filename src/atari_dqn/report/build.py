@@ -244,6 +244,8 @@ def _metadata(moment: datetime | None) -> dict[str, str]:
 def _typeset(text: str, stamp: str, made: Path, moment: datetime | None) -> None:
     """Markdown to `made`/index.html and report.pdf."""
     facts = _metadata(moment) | {"stamp": stamp, "link-citations": "true"}
+    if "{.badge .partial}" in text:
+        facts["preliminary"] = "yes"
     bibliography = project_root() / "notebooks" / "references.bib"
     shared = [
         "--standalone",

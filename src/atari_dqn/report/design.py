@@ -12,11 +12,12 @@ from torch import nn
 
 from atari_dqn import params
 from atari_dqn.agents import AGENTS
-from atari_dqn.analysis.study import data
+from atari_dqn.analysis.study import data, spelled
 from atari_dqn.envs import AtariEnv
 from atari_dqn.games import GAMES
 from atari_dqn.params import Parameters
 from atari_dqn.replay import PIXELS, ImageCodec
+from atari_dqn.runs.files import project_root
 
 RARE = {
     *("warmup_games", "warmup_learning_rate", "initial_weights", "freeze_convolutions"),
@@ -73,10 +74,25 @@ def memory_text(images: int = 2000) -> str:
     million = {name: size * 1e6 / 1e9 for name, size in sizes.items()}
     return (
         f"Measured on {images:,} images of random play, an image of {PIXELS:,} bytes takes "
-        f"{measured} on average: a million of them fit in "
+        f"{measured} on average: a million of them would take "
         + " and ".join(f"{size:.2f} GB" for size in million.values())
         + "."
+        + _full_memory()
     )
+
+
+def _full_memory() -> str:
+    """What full memories were measured to hold, with what they keep beside the images; empty where
+    that has not been measured."""
+    path = project_root() / "results" / "benchmarks" / "memory.csv"
+    if not path.exists():
+        return ""
+    last = pd.read_csv(path).groupby("game").tail(1)
+    held = " and ".join(
+        f"{row.resident_megabytes / 1000:.2f} GB in {GAMES[row.game].title}"
+        for row in last.itertuples()
+    )
+    return f" A memory of {last.transitions.max():,} transitions was measured to hold {held}."
 
 
 def exploration_text(p: Parameters) -> str:
@@ -97,7 +113,7 @@ def units(p: Parameters) -> pd.DataFrame:
     assert frames is not None
     steps = frames / p.frame_skip
     rows = [
-        ("frame", "a picture of the emulator, 1/60 s", frames),
+        ("frame", "a picture of the emulator, 1/60\u00a0s", frames),
         ("agent step", f"a decision; {p.frame_skip} frames", steps),
         (
             "update",
@@ -111,7 +127,7 @@ def units(p: Parameters) -> pd.DataFrame:
         {
             "unit": unit,
             "is": meaning,
-            "in a full game of Boxing": _rounded(count),
+            "in a full game of Boxing": f"{count:,.0f}",
             all_games: _rounded(count * p.episodes),
         }
         for unit, meaning, count in rows
@@ -164,7 +180,9 @@ def differences(of: list[Parameters]) -> pd.DataFrame:
             for key in Parameters.model_fields
             if key not in params.NOT_TRAINING and getattr(item, key) != getattr(first, key)
         ]
-        different += [f"variations: {'; '.join(item.variations)}"] * bool(item.variations)
+        different += [f"variations: {'; '.join(map(spelled, item.variations))}"] * bool(
+            item.variations
+        )
         rows.append(
             {
                 "experiment": f"`{item.experiment}`",
@@ -179,6 +197,8 @@ def differences(of: list[Parameters]) -> pd.DataFrame:
 
 
 def _text(value: object) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
     if isinstance(value, float):
         return f"{value:g}"
     return f"{value:,}" if type(value) is int else str(value)

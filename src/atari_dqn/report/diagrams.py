@@ -187,7 +187,7 @@ def epsilon_greedy() -> Figure:
     panel.plot(games, [epsilon(DEFAULTS, int(game)) for game in games], color=INK, lw=1.4)
     panel.set(xlim=(0, games[-1]), ylim=(0, 1.02), xticks=[0, 500, 1000], yticks=[0, 0.5, 1])
     panel.text(games[-1], floor + 0.06, f"at least {floor:g}", ha="right", color=INK, size=TEXT)
-    panel.set_xlabel("training episodes", size=TEXT)
+    panel.set_xlabel("training games", size=TEXT)
     panel.set_title(r"$\varepsilon$, share of random actions", size=TEXT, color=INK)
     panel.tick_params(labelsize=TEXT)
     return sheet.figure

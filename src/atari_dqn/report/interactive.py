@@ -40,20 +40,39 @@ def described(figure: Figure) -> dict[str, Any] | None:
         "panels": [
             _panel(axes, [artist for artist in artists if artist.axes is axes]) for axes in panels
         ],
-        "switches": [{"name": name, "colour": colour} for name, colour in switches(figure).items()],
+        "switches": [
+            {"name": name, "colour": colour, "marks": _marks(artists, name)}
+            for name, colour in switches(figure).items()
+        ],
     }
 
 
 def switches(figure: Figure) -> dict[str, str]:
-    """The names of what a figure's switches turn off and on, each with a colour."""
+    """The names of what a figure's switches turn off and on, each with the colour of its lines;
+    of several colours, with that of none."""
     colours: dict[str, str] = {}
+    seen: dict[str, set[str]] = {}
     for artist in _of(figure):
         *names, _ = str(artist.get_gid()).split("/")
         for name in names:
             colours.setdefault(name, to_hex(BESIDE))
         if len(names) == 1 and isinstance(artist, Line2D):
-            colours[names[0]] = to_hex(artist.get_color())
+            own = seen.setdefault(names[0], set())
+            own.add(to_hex(artist.get_color()))
+            colours[names[0]] = next(iter(own)) if len(own) == 1 else to_hex(BESIDE)
     return colours
+
+
+SIGNS = {"o": "○", "s": "□", "D": "◇", "^": "△"}
+
+
+def _marks(artists: list[Line2D | Collection], name: str) -> str:
+    """The marks that a switch stands for, where no line is among what it turns off and on."""
+    own = [artist for artist in artists if name in str(artist.get_gid()).split("/")[:-1]]
+    if not all(isinstance(one, Line2D) and one.get_linestyle() == "None" for one in own):
+        return ""
+    marks = (str(one.get_marker()) for one in own if isinstance(one, Line2D))
+    return "".join(dict.fromkeys(SIGNS.get(mark, "") for mark in marks))
 
 
 def _of(figure: Any) -> Iterator[Line2D | Collection]:

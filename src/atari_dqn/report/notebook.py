@@ -95,13 +95,14 @@ def show_badge(section: Section) -> None:
     count = len(section.runs)
     games = f"{count} run{'s' * (count > 1)} of {section.params.episodes:,} games"
     if section.episodes.empty:
-        text = f"**Not started**: {games}. {command} trains them."
+        text = f"**Not started**: {games}. To train them: {command}"
     else:
         share = "less than 1%" if section.share < 0.01 else f"{section.share:.0%}"
+        planned = len(section.runs) * section.params.episodes
         text = f"**{complete} of {len(section.runs)} runs complete**{profile and ' (small runs)'}: "
-        text += f"{len(section.episodes):,} games played, {share} of {games}."
+        text += f"{len(section.episodes):,} of {planned:,} games played ({share})."
         if complete < len(section.runs):
-            text += f" {command} finishes them."
+            text += f" To finish them: {command}"
     for run, state in zip(section.runs, states, strict=True):
         if state == STALE:
             text += f"\n\n{run.name} is stale ({'; '.join(run.changes())}) and not shown."

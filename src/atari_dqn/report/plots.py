@@ -25,6 +25,7 @@ from scipy import stats
 
 from atari_dqn import params
 from atari_dqn.analysis.statistics import interval, trailing_mean
+from atari_dqn.analysis.study import spelled
 from atari_dqn.envs import SIZE, AtariEnv
 from atari_dqn.games import GAMES, GameFacts
 from atari_dqn.report.interactive import BESIDE, named
@@ -51,7 +52,7 @@ INK, SOFT = "0.2", BESIDE
 FONT = "Libertinus Serif"  # the PDF's
 FONTS = Path(__file__).parent / "fonts"
 SOURCE, PUBLISHED = "source report", "Dopamine"  # whose points stand beside our curves
-OURS = "ours over the same episodes"
+OURS = "ours over the same games"
 SEEDS_OF_A_BAND = 3  # from so many on, an interval over seeds says something
 
 
@@ -145,7 +146,7 @@ def learning_curves(
     main.legend(
         handles, titles, loc="lower left", bbox_to_anchor=(-0.01, 1), ncols=4, fontsize="medium"
     )
-    main.set(xlabel="training episodes", ylabel=f"score, mean of {window} episodes")
+    main.set(xlabel="training games", ylabel=f"score, mean of {window} games")
     panels["hours"].set(xlabel="hours of processor time", ylabel="")
     if published:
         _published_points(panels["frames"], published, 1.3 * float(curves.frames.max()))
@@ -221,7 +222,11 @@ def _published_points(axes: Axes, published: dict[str, Any], reach: float) -> No
             handles += axes.plot(*zip(*at, strict=True), **how)
             named(handles[-1], PUBLISHED, value=f"{name}, {PUBLISHED}")
     if handles:
-        axes.legend(handles=handles, fontsize="x-small", loc="best", handletextpad=0.2)
+        names = [str(handle.get_label()).partition(f", {PUBLISHED}")[0] for handle in handles]
+        axes.legend(  # outside, where it hides no curve
+            handles, names, fontsize="x-small", loc="lower left", bbox_to_anchor=(-0.02, 0.98),
+            ncols=len(handles), handletextpad=0.1, columnspacing=1,
+        )  # fmt: skip
 
 
 def references(axes: Axes, facts: GameFacts, labelled: bool, upright: bool = False) -> None:
@@ -279,8 +284,8 @@ def comparison(
     longest = max((len(str(handle.get_label())) for handle in handles), default=0)
     columns = max(1, min(4, 90 // (longest + 8)))  # about 90 letters go into the figure's width
     axes.legend(handles=handles, loc="lower left", bbox_to_anchor=(-0.01, 1), ncols=columns)
-    averaged = f"score, mean of {window} episodes" if window > 1 else "score"
-    axes.set(xlabel="training episodes", ylabel=averaged)
+    averaged = f"score, mean of {window} games" if window > 1 else "score"
+    axes.set(xlabel="training games", ylabel=averaged)
     return figure
 
 
@@ -310,11 +315,12 @@ def small_multiples(
             named(axes.plot(base.index, base, **how)[0], "unchanged", value="unchanged")
         mean = curves[curves.variation == names[place]].groupby("episode")["mean"].mean()
         (line,) = axes.plot(mean.index, mean, color=colour, lw=1.3)
-        named(line, "with the change", value=names[place])
-        axes.set_title(textwrap.fill(names[place], 22), fontsize="small", loc="left")
+        title = spelled(names[place])
+        named(line, "with the change", value=title)
+        axes.set_title(textwrap.fill(title, 22), fontsize="small", loc="left")
         axes.tick_params(labelbottom=place + columns >= len(names))  # nothing below it
-    figure.supxlabel("training episodes", fontsize="medium", y=0.01)
-    figure.supylabel(f"score, mean of {window} episodes", fontsize="medium", x=0.015)
+    figure.supxlabel("training games", fontsize="medium", y=0.01)
+    figure.supylabel(f"score, mean of {window} games", fontsize="medium", x=0.015)
     titles = ["with the change", "unchanged"][: 1 + (not unchanged.empty)]
     figure.legend(handles[: len(titles)], titles, loc="upper left", ncols=2)
     figure.tight_layout(rect=(0.01, 0, 1, 1 - 0.28 / figure.get_figheight()))
@@ -340,14 +346,48 @@ def value_errors(values: pd.DataFrame) -> Figure:
         axes.fill_between(own.index, own.predicted, own.realised, where=over, **shade)
         dots = {"marker": "o", "ms": 4}
         for column, name, how in (
-            ("held_out_q", "held-out states", {"color": colour, "lw": 1, "alpha": 0.6}),
-            ("realised", "realised", {"color": SOFT, "lw": 1, "mfc": "white", **dots}),
+            (
+                "held_out_q",
+                "prediction for fixed random states",
+                {"color": colour, "lw": 1, "alpha": 0.6},
+            ),
+            ("realised", "what followed", {"color": SOFT, "lw": 1, "mfc": "white", **dots}),
             ("predicted", "predicted", {"color": colour, "ls": line, "lw": 1.6, **dots}),
         ):
             named(axes.plot(own.index, own[column], **how)[0], name, value=name)
-        axes.set(xlabel="training episodes", ylabel="value of a state")
+        axes.set(xlabel="training games", ylabel="value of a state")
         axes.set_title(params.title(agent), fontsize="medium", loc="left")
         axes.label_outer()
+    return figure
+
+
+STYLE_PANELS = {
+    "distance": "distance of the boxers (pixels)",
+    "reach": "time within reach (%)",
+    "punches_per_minute": "punches thrown per minute",
+    "conceded_per_minute": "points conceded per minute",
+}
+
+
+def styles_along(styles: pd.DataFrame) -> Figure:
+    """How agents box against training episodes, a panel per measure: `Section.styles`."""
+    figure, panels = plt.subplots(2, 2, sharex=True, figsize=(WIDTH, 4.6))
+    percent = styles.assign(reach=100 * styles.reach)
+    for axes, (column, title) in zip(panels.flat, STYLE_PANELS.items(), strict=True):
+        for agent in agents_of(styles):
+            own = percent[percent.agent == agent].groupby("episode")[column].mean()
+            name, (colour, line) = params.title(agent), STYLES[agent]
+            (drawn,) = axes.plot(own.index, own, color=colour, ls=line, lw=1.6)
+            named(drawn, name, value=name)
+        axes.set_title(title, fontsize="medium", loc="left")
+        axes.set(ylim=(0, None), xlim=(0, None))
+    for axes in panels[1]:
+        axes.set_xlabel("training games")
+    titles = [params.title(agent) for agent in agents_of(styles)]
+    figure.legend(
+        panels.flat[0].get_lines(), titles, loc="upper left", ncols=3, bbox_to_anchor=(0.06, 1.0)
+    )
+    figure.tight_layout(rect=(0, 0, 1, 0.94))
     return figure
 
 
@@ -374,7 +414,7 @@ def score_distributions(evaluations: pd.DataFrame, facts: GameFacts | None) -> F
             axes.annotate(f"{mean:.1f}", (mean, y), (0, 6), path_effects=halo, zorder=5, **how)
     if facts:
         references(axes, facts, labelled=True, upright=True)
-    axes.set(xlabel="score of an episode", ylabel="", ylim=(len(agents) - 0.4, -0.6))
+    axes.set(xlabel="score of a game", ylabel="", ylim=(len(agents) - 0.4, -0.6))
     axes.set_yticks(range(len(agents)), [params.title(name) for name in agents])
     axes.grid(False, axis="y")
     axes.tick_params(axis="y", length=0)
@@ -457,7 +497,7 @@ def preprocessing(games: list[str]) -> Figure:
     told = (
         "points of the four\nframes, added up",
         "clipped to\n−1, 0 or 1",
-        "reward that is\nlearnt from",
+        "reward that is\nlearned from",
     )
     box = {"boxstyle": "round,pad=0.35", "fc": "0.95", "ec": SOFT, "lw": 0.8}
     for x, text in zip(places, told, strict=True):

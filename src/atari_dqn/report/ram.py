@@ -97,9 +97,9 @@ def summary(punches: pd.DataFrame) -> pd.DataFrame:
         "punches": ("arm", "size"),
         "arm, least": ("arm", "min"),
         "arm, most": ("arm", "max"),
-        "across, median": ("dx", "median"),
-        "across, most": ("dx", "max"),
-        "along, median": ("dy", "median"),
+        "horizontal, median": ("dx", "median"),
+        "horizontal, most": ("dx", "max"),
+        "vertical, median": ("dy", "median"),
     }
     return punches.groupby(["boxer", "points"]).agg(**columns).reset_index()
 
@@ -119,8 +119,8 @@ def punches_figure(punches: pd.DataFrame) -> Figure:
     figure, (left, right) = plt.subplots(1, 2, figsize=(WIDTH, 2.7))
     shared = {"hue": "points", "palette": dict(zip((1, 2), shades(2), strict=True))}
     bins = np.arange(28, 77, 4)
-    sns.histplot(punches, x="arm", bins=bins, multiple="stack", ax=left, **shared)
-    left.set(xlabel="how far the arm was out (72: fully)", ylabel="punches that scored")
+    sns.histplot(punches, x="arm", bins=bins, multiple="layer", ax=left, **shared)
+    left.set(xlabel="how far the arm was out (0 to 72)", ylabel="number of punches")
     left.set(yscale="log", xticks=range(32, 73, 8))
     places = punches.groupby(["points", "dx", "dy"]).size().reset_index(name="punches")
     places = places.sort_values("punches", ascending=False)  # small marks above large ones
@@ -135,7 +135,7 @@ def punches_figure(punches: pd.DataFrame) -> Figure:
         legend=False,
         **shared,
     )
-    right.set(xlabel="distance across (pixels)", ylabel="distance along (pixels)")
+    right.set(xlabel="horizontal distance (pixels)", ylabel="vertical distance (pixels)")
     return figure
 
 

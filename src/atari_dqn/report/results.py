@@ -9,7 +9,7 @@ import pandas as pd
 from atari_dqn import params
 from atari_dqn.analysis import summaries
 from atari_dqn.analysis.statistics import MILESTONES, interval, scores_at_milestones
-from atari_dqn.analysis.study import Section, data
+from atari_dqn.analysis.study import Section, data, spelled
 from atari_dqn.params import HELD_OUT_STATES, VALUE_GAMES, VALUES_PERIOD
 from atari_dqn.report import plots
 from atari_dqn.report.interactive import switches
@@ -20,6 +20,8 @@ from atari_dqn.report.outputs import (
     show_table,
     show_text,
 )
+from atari_dqn.runs import robustness
+from atari_dqn.runs.styles import AGENT
 
 
 def show_curves(section: Section) -> None:
@@ -31,7 +33,7 @@ def show_curves(section: Section) -> None:
     if section.episodes.episode.max() < window:
         show_absent(
             label,
-            f"A learning curve, of means of {window} episodes, follows after that many episodes.",
+            f"A learning curve, of means of {window} games, follows after that many games.",
         )
         return
     source = source_points(section)
@@ -39,9 +41,9 @@ def show_curves(section: Section) -> None:
         section.episodes, facts, window, published_points(section), source
     )
     caption = [
-        f"{facts.title}, `{section.params.experiment}`: raw score while training, with "
-        "exploration, against episodes, frames and processor time (on one core); each point is "
-        f"the mean of the last {window} episodes ({section.counted()}). Without sticky actions."
+        f"{section.title}: raw score while training, with "
+        "exploration, against games, frames and processor time (on one core); each point is "
+        f"the mean of the last {window} games ({section.counted()}). Without sticky actions."
     ]
     seeds = section.episodes.groupby("agent").seed.nunique().max()
     if seeds >= plots.SEEDS_OF_A_BAND:
@@ -49,19 +51,22 @@ def show_curves(section: Section) -> None:
     drawn = switches(figure)
     if plots.SOURCE in drawn:
         caption.append(
-            f"Circles: means of the last {section.milestone_window} episodes, hollow the source "
+            f"Circles: means of the last {section.milestone_window} games, hollow the source "
             "report's, filled ours."
         )
     if section.default_difficulty:
         caption.append("Dotted: a human tester and random play.")
         if plots.PUBLISHED in drawn:
-            caption.append("Grey marks: agents trained with sticky actions [@dopamine2018].")
+            caption.append(
+                "Grey marks: published agents of Dopamine, trained with sticky actions "
+                "(@sec-published)."
+            )
     show_figure(
         figure,
         label=label,
         caption=" ".join(caption),
         alt=f"Learning curves of the agents in {facts.title}: mean score against training "
-        "episodes, frames and processor time.",
+        "games, frames and processor time.",
         data=section.origin + "episodes.csv and timing.csv",
     )
 
@@ -118,8 +123,8 @@ def show_milestones(section: Section) -> None:
     show_table(
         table.rename(columns={"seed": "whose"}),
         label=label,
-        caption=f"{facts.title}, `{section.params.experiment}`: mean raw score of "
-        f"{section.milestone_window} games up to each number of games played ({section.counted()})."
+        caption=f"{section.title}: mean raw score of the last {section.milestone_window} games at "
+        "each milestone. Columns: games played."
         + f" Human {facts.human:g}, random play {facts.random:g} [@dqnzoo2020]."
         * section.default_difficulty,
     )
@@ -138,8 +143,8 @@ def show_endings(section: Section) -> None:
     show_table(
         table,
         label=label,
-        caption=f"{section.facts.title}, `{section.params.experiment}`: how the last "
-        f"{section.milestone_window} episodes ended ({section.counted()}).",
+        caption=f"{section.title}: how games ended and how fast points came, over the last "
+        f"{section.milestone_window} games before each milestone. Columns: games played.",
         decimals=0,
     )
 
@@ -163,9 +168,9 @@ def show_evaluations(section: Section) -> None:
             section.evaluations, section.facts if section.default_difficulty else None
         ),
         label=figure,
-        caption=f"{section.facts.title}, `{p.experiment}`: scores of the evaluation episodes "
+        caption=f"{section.title}: scores of the evaluation games "
         f"({games} per run; {p.evaluation_epsilon:.1%} of the actions are random). Diamonds: the "
-        "mean of each run, with its 95% interval (bootstrap over episodes).",
+        "mean of each run, with its 95% interval (bootstrap over games).",
         alt=f"Dots for each agent's evaluation scores in {section.facts.title}, and their means.",
         data=section.origin + "evaluations.csv",
     )
@@ -179,10 +184,9 @@ def show_evaluations(section: Section) -> None:
     show_table(
         pd.DataFrame(rows).astype({"seed": "Int64", "training games": "Int64"}),
         label=table,
-        caption=f"{section.facts.title}, `{p.experiment}`: evaluation games at difficulty "
+        caption=f"{section.title}: evaluation games at difficulty "
         f"{p.difficulty}. The interval is over the games of a run (bootstrap), not over seeds; "
-        f"games start from {p.noop_max} different idle openings only, so that it is somewhat too "
-        "narrow.",
+        f"there are only {p.noop_max} different openings, so the interval is somewhat too narrow.",
         decimals=1,
     )
 
@@ -210,8 +214,8 @@ def show_conditions(section: Section) -> None:
     show_table(
         pd.DataFrame(rows),
         label=label,
-        caption=f"{section.facts.title}, `{p.experiment}`: evaluation games under other conditions "
-        f"than those of the training too, which were difficulty {p.difficulty} and a probability "
+        caption=f"{section.title}: evaluation games, also under conditions "
+        f"other than those of training, which were difficulty {p.difficulty} and a probability "
         f"of sticky actions of {p.sticky_actions:g}. "
         "Intervals are over games.",
         decimals=1,
@@ -230,13 +234,15 @@ def show_discounts(sections: list[Section], agent: str, label: str) -> None:
     window, facts = sections[0].curve_window, sections[0].facts
     curves = [curve for curve in curves if len(curve) >= window]
     if len(curves) < 2:
-        show_absent(label, "Curves of several discounts follow when two of them have been trained.")
+        show_absent(
+            label, "Curves of several discounts will appear once two of them have been trained."
+        )
         return
     show_figure(
         plots.comparison(pd.concat(curves), facts, window, "variation"),
         label=label,
         caption=f"{facts.title}: {params.title(agent)} with different discounts; mean raw score of "
-        f"the last {window} training episodes.",
+        f"the last {window} training games.",
         alt="Learning curves of one agent with different discounts.",
         data=", ".join(section.origin for section in sections),
     )
@@ -271,21 +277,21 @@ def show_values(section: Section) -> None:
         title = section.facts.title
         show_absent(
             label,
-            f"The values in {title} follow: they are checked every {VALUES_PERIOD} training "
-            "episodes.",
+            f"Values for {title} will appear here once there are any; they are checked every "
+            f"{VALUES_PERIOD} training games.",
         )
         return
     show_figure(
         plots.value_errors(section.values),
         label=label,
-        caption=f"{section.facts.title}, `{section.params.experiment}`: the value that the "
-        f"network predicts for the states of {VALUE_GAMES} greedy episodes (dots), and the "
+        caption=f"{section.title}: the value that the "
+        f"network predicts for the states of {VALUE_GAMES} greedy games (dots), and the "
         "discounted return that followed them, in rewards as the agent learns from them (grey "
-        f"circles), every {VALUES_PERIOD} training episodes. Shaded: the network overestimates. A "
-        f"point is {VALUE_GAMES} episodes, so single dips mean little. Pale line: the prediction "
-        f"for {HELD_OUT_STATES} states of random play, always the same ({section.counted()}).",
-        alt="Predicted and realised values of states against training episodes, one panel per "
-        "agent.",
+        f"circles), every {VALUES_PERIOD} training games. Shaded: the network overestimates. A "
+        f"point is {VALUE_GAMES} games, so single dips mean little. Pale line: the prediction "
+        f"for {HELD_OUT_STATES} states of random play that stay the same: if it drifts upwards "
+        "while play does not improve, the network has begun to overestimate.",
+        alt="Predicted and realised values of states against training games, one panel per agent.",
         data=section.origin + "values.csv",
     )
 
@@ -304,9 +310,9 @@ def show_variations(section: Section, reference: Section, agent: str) -> None:
     show_figure(
         plots.small_multiples(sweep, unchanged, agent, window),
         label=figure,
-        caption=f"{section.facts.title}, `{section.params.experiment}`: one change per panel, "
+        caption=f"{section.title}: one change per panel, "
         f"{params.title(agent)}, beside the unchanged set-up; mean raw score of the last {window} "
-        f"training episodes ({section.counted()}).",
+        f"training games ({section.counted()}).",
         alt="A panel per change with two learning curves: with the change, and unchanged.",
         data=section.origin + "episodes.csv",
     )
@@ -317,7 +323,7 @@ def show_variations(section: Section, reference: Section, agent: str) -> None:
     greedy = {} if evaluated.empty else evaluated.groupby("variation").score.mean().to_dict()
     rows = [
         {
-            "variation": name,
+            "variation": spelled(str(name)),
             "games": int(found.episode.max()),
             "hours": found.seconds.max() / 3600,
             f"mean of the last {window} games": found.score.mean(),
@@ -333,11 +339,90 @@ def show_variations(section: Section, reference: Section, agent: str) -> None:
     show_table(
         pd.DataFrame(rows),
         label=table,
-        caption=f"{section.facts.title}, `{section.params.experiment}`: hours by the clock on "
+        caption=f"{section.title}: wall-clock hours on "
         "one core, training scores with exploration, and the mean of the greedy games of a "
         "finished run. Intervals are over games of one run (bootstrap), not over seeds.",
         decimals=1,
     )
+
+
+def show_learning_style(section: Section) -> None:
+    """How the agents box along their training."""
+    label = f"fig-{section.slug}-style"
+    if section.styles.empty:
+        show_placeholders(label)
+        return
+    show_figure(
+        plots.styles_along(section.styles),
+        label=label,
+        caption=f"How the agents box along their training, in the {VALUE_GAMES} greedy games after "
+        f"every {VALUES_PERIOD} training games: means, of what the console's memory says.",
+        alt="Four panels against training games: distance of the boxers, share of the time within "
+        "reach, punches thrown per minute, and points conceded per minute; a line per agent.",
+        data=f"results/styles/{section.params.experiment}/",
+    )
+
+
+OPENINGS = (500, 100)  # training games, and agent steps from their start, that are compared
+
+
+def show_robustness(section: Section) -> None:
+    """Finished agents under conditions that they have never met, beside those that they have."""
+    label = f"tbl-{section.slug}-robustness"
+    if section.robustness.empty or section.final_evaluations.empty:
+        show_placeholders(label)
+        return
+    p, rows = section.params, []
+    played = section.final_evaluations
+    played = played[(played.difficulty == p.difficulty) & (played.epsilon == p.evaluation_epsilon)]
+    conditions = {
+        "as trained": played[played.sticky_actions == p.sticky_actions],
+        **{
+            f"sticky actions, {chance:g}": played[played.sticky_actions == chance]
+            for chance in p.evaluation_stickiness
+        },
+        "left and right exchanged": _under(section, robustness.MIRRORED),
+        "the best game's moves, blindly": _under(section, robustness.SEQUENCE),
+    }
+    for agent, seed in played[["agent", "seed"]].drop_duplicates().itertuples(index=False):
+        for name, games in conditions.items():
+            own = games[(games.agent == agent) & (games.seed == seed)]
+            if len(own) > 1:
+                low, high = interval(own.score.to_numpy())
+                rows.append(
+                    {
+                        "agent": params.title(agent),
+                        "seed": seed,
+                        "condition": name,
+                        "games": len(own),
+                        "mean score": own.score.mean(),
+                        "95% interval": f"{low:.1f} to {high:.1f}",
+                    }
+                )
+    table = pd.DataFrame(rows)
+    show_table(
+        table.drop(columns="seed") if table.seed.nunique() == 1 else table,
+        label=label,
+        caption=f"{section.facts.title}, {section.name}: greedy games of finished agents under "
+        "conditions that they were trained for (first) and that they were not. The best "
+        f"evaluation game's moves are made in each of the {p.noop_max} openings. Intervals are "
+        "over games.",
+        decimals=1,
+    )
+    games, steps = OPENINGS
+    said = [
+        f"{params.title(run.agent)} {robustness.repeated_openings(run, games, steps):.0%}"
+        for run in section.usable
+        if run.robustness.exists()
+    ]
+    show_text(
+        f"Of the last {games} training games, those whose first {steps} steps are, action for "
+        f"action, those of another are: {', '.join(said)}."
+    )
+
+
+def _under(section: Section, condition: str) -> pd.DataFrame:
+    return section.robustness[section.robustness.condition == condition]
 
 
 LOWEST = -100.0  # points, the worst that an episode of Boxing can end with
@@ -359,7 +444,7 @@ def show_transfer(transferred: Section, scratch: Section) -> None:
         rows.append(
             {
                 "agent": params.title(agent),
-                "episodes": played,
+                "games": played,
                 "early": gain[:early].mean(),
                 "early, greedy": greedy[0] - greedy[1],
                 "area ratio": gain.sum() / (theirs[:played] - LOWEST).sum(),
@@ -368,7 +453,7 @@ def show_transfer(transferred: Section, scratch: Section) -> None:
         )
     if not rows:
         if transferred.complete:
-            show_absent(label, f"Both runs need {max(early, late)} episodes to be compared.")
+            show_absent(label, f"Both runs need {max(early, late)} games to be compared.")
         else:
             show_placeholders(label)
         return
@@ -376,10 +461,10 @@ def show_transfer(transferred: Section, scratch: Section) -> None:
         pd.DataFrame(rows),
         label=label,
         caption=f"{transferred.facts.title}: what the start from Breakout is worth, over the "
-        "episodes that both runs have played. *Early* is the difference in points over the first "
-        f"{early} training episodes, while training and in the greedy episodes of the checks among "
+        "games that both runs have played. *Early* is the difference in points over the first "
+        f"{early} training games, while training and in the greedy games of the checks among "
         f"them ({VALUE_GAMES} per check); *at the end*, that over the last {late} training "
-        "episodes. The area between the two curves is given as a share of the area between the "
+        "games. The area between the two curves is given as a share of the area between the "
         f"curve from scratch and {LOWEST:g} points, the lowest score there is.",
     )
 
@@ -404,37 +489,43 @@ def _curve(section: Section, agent: str) -> np.ndarray:
 
 def show_playstyle(sections: Sequence[Section], label: str) -> None:
     """How one agent boxes with different discounts: a row per part of the training and run."""
-    measured = [section for section in sections if not section.styles.empty]
+    tables = {
+        section: section.styles[section.styles.agent == AGENT]
+        for section in sections
+        if not section.styles.empty
+    }
+    measured = [section for section, table in tables.items() if not table.empty]
     if len(measured) < 2:
         show_absent(
             label,
-            "A table of play styles follows when two discounts have been trained. (Styles are "
-            "measured when the report is made, in the greedy episodes that are on record.)",
+            "A table of play styles will appear once two discounts have been trained. (Styles are "
+            "measured when the report is made, in the greedy games that are on record.)",
         )
         return
     rows = []
     for first in range(1, max(section.params.episodes for section in measured), PART):
         for section in sorted(measured, key=lambda section: section.params.gamma):
-            part = section.styles[section.styles.episode.between(first, first + PART - 1)]
+            table = tables[section]
+            part = table[table.episode.between(first, first + PART - 1)]
             if not part.empty:
                 rows.append(
                     {
-                        "training episodes": f"{first:,} to {first + PART - 1:,}",
+                        "training games": f"{first:,} to {first + PART - 1:,}",
                         "discount": f"{section.params.gamma:g}",
                         "score": part.score.mean(),
                         **{name: part[column].mean() for column, name in STYLE.items()},
                         "within reach": f"{part.reach.mean():.0%}",
                     }
                 )
-    agent = params.title(measured[0].styles.agent.iloc[0])
+    agent = params.title(AGENT)
     show_table(
         pd.DataFrame(rows),
         label=label,
-        caption=f"How {agent} boxes with different discounts, in the greedy episodes of the checks "
-        f"along its training ({VALUE_GAMES} every {VALUES_PERIOD} training episodes): points and "
+        caption=f"How {agent} boxes with different discounts, in the greedy games of the checks "
+        f"along its training ({VALUE_GAMES} every {VALUES_PERIOD} training games): points and "
         "punches per minute, mean distance of the two boxers in pixels, and the share of the time "
         "in which they stand so near that a punch can land. Style and skill go together: compare "
-        "rows of the same training episodes, and rows of about the same score.",
+        "rows of the same training games, and rows of about the same score.",
         decimals=1,
     )
 

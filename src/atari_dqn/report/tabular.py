@@ -132,8 +132,8 @@ def curves_figure(scores: pd.DataFrame) -> Figure:
     shared = {"x": "game", "y": "mean", "hue": "exploration", "style": "exploration"}
     shared["palette"] = shades(scores.exploration.nunique())
     sns.lineplot(scores, **shared, errorbar=("pi", 100), ax=axes)
-    axes.axhline(SHORTEST, color=SOFT, lw=0.8, ls=":", label=f"shortest way: −{-SHORTEST}")
-    axes.set(xlabel="episodes", ylabel=f"points, mean of {WINDOW} episodes", ylim=(-150, 0))
+    axes.axhline(SHORTEST, color=SOFT, lw=0.8, ls=":", label=f"best possible: −{-SHORTEST}")
+    axes.set(xlabel="games", ylabel=f"points, mean of {WINDOW} games", ylim=(-150, 0))
     axes.legend(loc="lower right")
     return figure
 
@@ -143,7 +143,7 @@ def overestimation(actions: Iterable[int], samples: int, seed: int = 0) -> pd.Da
 
     Every action has two independent estimates, wrong by normal noise of standard deviation 1. The
     first set selects; the same set, or the second, then says what the selected action is worth
-    (van Hasselt, 2010). Columns: actions, valued by, believed (mean of the samples).
+    (van Hasselt, 2010). Columns: actions, evaluated with, believed (mean of the samples).
     """
     rng, rows = np.random.default_rng(seed), []
     for count in actions:
@@ -152,16 +152,16 @@ def overestimation(actions: Iterable[int], samples: int, seed: int = 0) -> pd.Da
         for name, values in zip(("the same estimates", "a second set"), estimates, strict=True):
             believed = np.take_along_axis(values, selected, axis=1).mean()
             rows.append((count, name, believed))
-    return pd.DataFrame(rows, columns=["actions", "valued by", "believed"])
+    return pd.DataFrame(rows, columns=["actions", "evaluated with", "believed"])
 
 
 def overestimation_figure(believed: pd.DataFrame) -> Figure:
     """What is believed of the best action, against the number of actions."""
     figure, axes = plt.subplots(figsize=(WIDTH, 2.4))
-    shared = {"hue": "valued by", "style": "valued by", "markers": True}
+    shared = {"hue": "evaluated with", "style": "evaluated with", "markers": True}
     sns.lineplot(believed, x="actions", y="believed", palette=shades(2)[::-1], **shared, ax=axes)
     ticks = {2: "2", 4: "4\nBreakout", 8: "8", 12: "12", 18: "18\nBoxing"}
-    axes.set(xlabel="", ylabel="believed value of the best\naction (true value: 0)")
+    axes.set(xlabel="", ylabel="estimated value of the best\naction (true value: 0)")
     axes.set_xticks(list(ticks), [f"{name}" for name in ticks.values()])
     axes.set_xlabel("actions to select from")
     return figure

@@ -368,7 +368,7 @@ class _Mind:
         self.game = game
         self.side = min(SIZE, view.shape[1] // game.params.frame_stack - GAP)
         _write(view, "what the network sees", 0, 34, 16, SOFT)
-        _write(view, "Q-values, less their mean", 0, TOP + SIZE + 34, 16, SOFT)
+        _write(view, "action values, relative to mean", 0, TOP + SIZE + 34, 16, SOFT)
         self.images = view[TOP : TOP + self.side]
         self.bars = view[TOP + SIZE + 46 : -MARGIN]
         means = game.q_values.mean(axis=1, keepdims=True)

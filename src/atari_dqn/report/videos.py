@@ -18,6 +18,16 @@ from atari_dqn.runs.run import Run
 
 LATE = 3  # times the training games of an early model make a late one
 GAME = 0  # the number of the evaluation game that is recorded, where nothing decides otherwise
+# What is drawn beside and below the pictures
+MIND = (
+    "[Beside it: what the network sees, and a bar for the value of each action, relative to the "
+    "mean of all; the chosen one is coloured.]{.page}"
+)
+TRACE = (
+    "[Below each picture: the value of the best action over the last seconds, with white triangles "
+    "above it for points scored and grey ones below it for points conceded.]{.page} [Below the "
+    "pictures: the value of the best action (max Q), with a thin line at each picture.]{.paper}"
+)
 ALT = "A video of {}: the game, what the network sees, the value of every action and the score."
 
 
@@ -52,9 +62,7 @@ def show_best(section: Section, label: str, seconds: int) -> None:
         video,
         label=label,
         caption=f"{params.title(run.agent)} after {games:,} training games: the first {seconds} "
-        f"seconds of a game that ends with {_scored(video)}. [Beside it are what the network sees "
-        "and the value it gives each action.]{.page} [Below is the value of its best action "
-        "(max Q), with a thin line at each picture.]{.paper}",
+        f"seconds of a game that ends with {_scored(video)}. {MIND} {TRACE}",
         alt=ALT.format(section.facts.title),
         data=str(run.name),
     )
@@ -76,7 +84,7 @@ def show_early_and_late(section: Section, label: str) -> None:
         video,
         label=label,
         caption=f"{params.title(run.agent)} after {chosen[0]:,} and {chosen[1]:,} training games, "
-        f"on the same game; the first 30 seconds. The games end with {_scored(video)}.",
+        f"on the same game: the first 30 seconds. The games end with {_scored(video)}. {TRACE}",
         alt=ALT.format(f"one agent twice in {section.facts.title}, early and late"),
         data=run.name,
     )
@@ -97,8 +105,8 @@ def show_side_by_side(section: Section, label: str) -> None:
     show_video(
         video,
         label=label,
-        caption="The agents on the same game, each with its newest model and the training games "
-        f"behind it; the first 30 seconds. The games end with {_scored(video)}.",
+        caption="The agents on the same game, each with its latest weights; the number is that of "
+        f"its training games. The first 30 seconds: the games end with {_scored(video)}. {TRACE}",
         alt=ALT.format(f"the agents side by side in {section.facts.title}"),
         data=section.origin,
     )
@@ -131,7 +139,8 @@ def show_knockout(section: Section, label: str) -> None:
         video,
         label=label,
         caption=f"A knock-out by {params.title(run.agent)} after {games:,} training games: the "
-        f"last 15 seconds of evaluation game {number}, which ends with {_scored(video)}.",
+        f"last 15 seconds of evaluation game {number}, which ends with {_scored(video)}. {MIND} "
+        f"{TRACE}",
         alt=ALT.format("a knock-out"),
         data=run.name,
     )

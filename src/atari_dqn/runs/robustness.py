@@ -8,6 +8,7 @@ Sticky actions, the third such condition, are a part of every final evaluation.
 """
 
 import re
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, fields
 from itertools import cycle
@@ -62,6 +63,19 @@ def _sequence(run: Run, trained: int) -> Iterator[Trial]:
         env, _ = records.begin(run.params, EpisodeRecord(idle, moves, None))
         play_blindly(env, moves)
         yield Trial(SEQUENCE, idle, env.score, env.length, trained)
+
+
+def repeated_openings(run: Run, games: int, steps: int) -> float:
+    """The share of a run's last training games that begin, idle frames and so many agent steps
+    long, exactly as another of them does. Raises RecordError if the records cannot be read."""
+    recorded = [
+        record
+        for heading, record in records.read_file(run.folder, torn=True)
+        if heading["kind"] == records.TRAINING
+    ]
+    openings = [(record.idle_frames, record.actions[:steps]) for record in recorded[-games:]]
+    counts = Counter(openings)
+    return sum(counts[opening] > 1 for opening in openings) / len(openings)
 
 
 def best_game(run: Run, trained: int) -> EpisodeRecord:

@@ -53,12 +53,14 @@ def measure(run: Run) -> None:
         if heading["kind"] == records.VALUES
     ]
     rows = []
-    for heading, record in tqdm(greedy, desc=f"styles of {run.name}", mininterval=2):
-        key = (heading["episode"], heading["game"], records.digest(record))
-        rows.append(known.get(key) or astuple(_style(run.params, *key, record)))
-    table = pd.DataFrame(rows, columns=[field.name for field in fields(Style)])
-    run.styles.parent.mkdir(parents=True, exist_ok=True)
-    write_atomically(run.styles, table.to_csv(index=False).encode())
+    try:
+        for heading, record in tqdm(greedy, desc=f"styles of {run.name}", mininterval=2):
+            key = (heading["episode"], heading["game"], records.digest(record))
+            rows.append(known.get(key) or astuple(_style(run.params, *key, record)))
+    finally:  # an interruption costs no more than the episode that was being played
+        table = pd.DataFrame(rows, columns=[field.name for field in fields(Style)])
+        run.styles.parent.mkdir(parents=True, exist_ok=True)
+        write_atomically(run.styles, table.to_csv(index=False).encode())
 
 
 def _style(

@@ -59,9 +59,11 @@ function interactive(image, { panels, switches }) {
   buttons.className = "switches";
   buttons.setAttribute("role", "group");
   buttons.setAttribute("aria-label", "Curves shown");
-  for (const { name, colour } of switches) {
+  buttons.append(element("span", "Click to hide:"));
+  for (const { name, colour, marks } of switches) {
     const button = element("button", name);
     button.type = "button";
+    if (marks) button.dataset.marks = marks;
     button.style.setProperty("--line-colour", colour);
     button.setAttribute("aria-pressed", "true");
     button.addEventListener("click", () => {

@@ -163,6 +163,7 @@ const entries = new Map();
 for (const link of document.querySelectorAll("#contents a")) {
   entries.set(decodeURIComponent(link.hash.slice(1)), link);
 }
+const column = document.getElementById("contents");
 const headings = [...document.querySelectorAll("main h1[id], main h2[id], main section[id]")];
 const follow = () => {
   let current = null;
@@ -173,6 +174,11 @@ const follow = () => {
     if (id === current) link.setAttribute("aria-current", "true");
     else link.removeAttribute("aria-current");
   }
+  const now = entries.get(current);
+  if (!now) return;
+  const [box, seen] = [now.getBoundingClientRect(), column.getBoundingClientRect()];
+  if (box.top < seen.top + 40) column.scrollTop -= seen.top + 40 - box.top;
+  else if (box.bottom > seen.bottom - 40) column.scrollTop += box.bottom - seen.bottom + 40;
 };
 document.addEventListener("scroll", follow, { passive: true });
 follow();

@@ -19,8 +19,21 @@ end
 
 local function quoted(text) return '"' .. text:gsub("\\", "\\\\"):gsub('"', '\\"') .. '"' end
 
+-- "84 × 84" stays on one line.
+local function times(inlines)
+  for place, inline in ipairs(inlines) do
+    if inline.t == "Str" and inline.text == "×" then
+      for _, beside in ipairs({ place - 1, place + 1 }) do
+        if inlines[beside] and inlines[beside].t == "Space" then inlines[beside] = pandoc.Str("\u{a0}") end
+      end
+    end
+  end
+  return inlines
+end
+
 -- A browser may break a line between a formula and its comma.
 local function glue(inlines)
+  inlines = times(inlines)
   local result, open = {}, nil
   for _, inline in ipairs(inlines) do
     local formula = inline.t == "Math" and inline.mathtype == "InlineMath"
@@ -39,6 +52,9 @@ end
 
 local function span(element)
   if has(element, paper and "page" or "paper") then return {} end -- meant for the other medium
+  if paper and has(element, "absent") then -- a bare label would be that of what stands before it
+    return pandoc.RawInline("typst", "#metadata(none) <" .. element.identifier .. ">")
+  end
   if not has(element, "equation") then return nil end
   if paper then
     return { pandoc.RawInline("typst", "#numbered["), element, pandoc.RawInline("typst", "]") }
@@ -154,7 +170,7 @@ end
 
 local first = { Str = minus, Span = span, Div = division, Pandoc = document }
 if paper then
-  first.Figure, first.Table, first.CodeBlock = figure, short_table, listing
+  first.Figure, first.Table, first.CodeBlock, first.Inlines = figure, short_table, listing, times
 else
   first.Inlines = glue
 end

@@ -1,0 +1,202 @@
+"""What a network looks at: how much its values change when a place of what it sees is blurred
+(Greydanus et al., 2018), and the patterns that its first layer looks for."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import pandas as pd
+import torch
+from matplotlib import pyplot as plt
+from matplotlib.figure import Figure
+from torch import nn
+
+from atari_dqn import params
+from atari_dqn.analysis.study import Section
+from atari_dqn.envs import SIZE, EpisodeRecord
+from atari_dqn.report.outputs import show_figure, show_placeholders, show_table
+from atari_dqn.report.plots import WIDTH
+from atari_dqn.runs import models, records
+from atari_dqn.runs.dataset import Trajectory, trajectory
+from atari_dqn.runs.run import Run
+
+STRIDE = 4  # pixels between the places that are blurred
+BLUR = 3.0  # pixels, standard deviation: of the blur, and of the place's soft edge
+
+
+@dataclass(frozen=True)
+class Saliency:
+    """Maps [21, 21] of how much a network's values depend on each place of an observation."""
+
+    value: np.ndarray  # points; of the state's value, here the mean over all actions
+    advantages: np.ndarray  # points; of what sets the actions apart, root mean square over them
+
+
+def places() -> np.ndarray:
+    """Soft masks float32 [441, 84, 84, 1], one per place, 1 in its middle."""
+    centres = np.arange(STRIDE // 2, SIZE, STRIDE)
+    pixels = np.arange(SIZE)
+    near = np.exp(-((pixels - centres[:, None]) ** 2) / (2 * BLUR**2))  # [21, 84]
+    masks = near[:, None, :, None] * near[None, :, None, :]  # [21, 21, 84, 84]
+    return masks.reshape(-1, SIZE, SIZE, 1).astype(np.float32)
+
+
+@torch.no_grad()
+def saliency(network: nn.Module, observation: np.ndarray) -> Saliency:
+    """Of a network that sees bytes [84, 84, S]. A dueling network's V is the mean of its values
+    over the actions, so that the two maps are those of its streams."""
+    blurred = np.stack(
+        [cv2.GaussianBlur(image, (0, 0), BLUR) for image in np.moveaxis(observation, -1, 0)], -1
+    )
+    masks = places()
+    seen = observation * (1 - masks) + blurred * masks  # [441, 84, 84, S]
+    device = next(network.parameters()).device
+    values = network(torch.from_numpy(np.concatenate([observation[None], seen])).to(device))
+    state = values.mean(dim=1)  # [442]
+    advantages = values - state[:, None]  # [442, A]
+    side = len(range(STRIDE // 2, SIZE, STRIDE))
+    return Saliency(
+        (state[1:] - state[0]).abs().cpu().numpy().reshape(side, side),
+        (advantages[1:] - advantages[0]).pow(2).mean(1).sqrt().cpu().numpy().reshape(side, side),
+    )
+
+
+def observation_at(game: Trajectory, step: int, stack: int) -> np.ndarray:
+    """What an agent sees of a game before agent step `step` (0, 1, ...): bytes [84, 84, stack]."""
+    return np.stack([game.observations[max(0, step - back)] for back in reversed(range(stack))], -1)
+
+
+def figure(observations: dict[str, np.ndarray], networks: dict[str, nn.Module]) -> Figure:
+    """A row per observation (bytes [84, 84, S], by its title): the newest image, and over it two
+    maps per network, each on a scale of its own."""
+    columns = 1 + 2 * len(networks)
+    height = 1.15 * WIDTH / columns * len(observations) + 0.5
+    drawing, panels = plt.subplots(
+        len(observations), columns, figsize=(WIDTH, height), squeeze=False
+    )
+    for place, (row, (title, observation)) in enumerate(
+        zip(panels, observations.items(), strict=True)
+    ):
+        newest = observation[..., -1]
+        row[0].imshow(newest, cmap="gray", vmin=0, vmax=255)
+        row[0].set_ylabel(title, fontsize="small")
+        for number, (name, network) in enumerate(networks.items()):
+            found = saliency(network, observation)
+            for column, kind in enumerate(("value", "advantages")):
+                axes = row[1 + 2 * number + column]
+                axes.imshow(newest, cmap="gray", vmin=0, vmax=255)
+                heat = getattr(found, kind) / max(getattr(found, kind).max(), 1e-9)
+                axes.imshow(
+                    heat,
+                    cmap="inferno",
+                    alpha=heat,
+                    extent=(0, SIZE, SIZE, 0),
+                    interpolation="bicubic",
+                )
+                if place == 0:
+                    axes.set_title(f"{name}\n{kind}", fontsize="small")
+        for axes in row:
+            axes.set(xticks=[], yticks=[])
+    panels[0][0].set_title("seen\n(newest image)", fontsize="small")
+    drawing.tight_layout()
+    return drawing
+
+
+def filters_figure(networks: dict[str, nn.Module]) -> Figure:
+    """The kernels of each network's first layer, 8 by 8 pixels: a column per kernel, and from top
+    to bottom the oldest to the newest of the images that it is laid over."""
+    drawing, panels = plt.subplots(
+        len(networks), 1, figsize=(WIDTH, 1.1 * len(networks) + 0.2), squeeze=False
+    )
+    for axes, (name, network) in zip(panels[:, 0], networks.items(), strict=True):
+        kernels = network.state_dict()["convolutions.0.weight"].cpu().numpy()  # [32, S, 8, 8]
+        kernels = kernels / np.abs(kernels).max(axis=(1, 2, 3), keepdims=True)
+        padded = np.pad(kernels, ((0, 0), (0, 0), (1, 1), (1, 1)), constant_values=np.nan)
+        sheet = np.block([[kernel[image] for kernel in padded] for image in range(padded.shape[1])])
+        axes.imshow(sheet, cmap="RdBu", vmin=-1, vmax=1)
+        axes.set_title(name, fontsize="small", loc="left")
+        axes.axis("off")
+    drawing.tight_layout()
+    return drawing
+
+
+# Parts of a picture of Boxing, in places: the score and the clock, and the ring within its ropes
+PARTS = {
+    "score and clock": (slice(0, 4), slice(None)),
+    "ring": (slice(4, 19), slice(4, 18)),
+}
+SAMPLED = 50  # agent steps between the states that the shares are means over
+
+
+def shares(maps: list[np.ndarray]) -> dict[str, float]:
+    """How the maps' sum is shared among the parts of the picture, in percent."""
+    total = np.sum(maps, axis=0)
+    parts = {name: 100 * float(total[place].sum() / total.sum()) for name, place in PARTS.items()}
+    return parts | {"elsewhere": 100 - sum(parts.values())}
+
+
+def show_saliency(section: Section) -> None:
+    """What the newest network of each agent looks at in one game, and their first layers."""
+    label, kernels = f"fig-{section.slug}-saliency", f"fig-{section.slug}-filters"
+    table = f"tbl-{section.slug}-saliency"
+    found = [(run, record) for run in section.usable if (record := first_evaluated(run))]
+    if not found:
+        show_placeholders(label, kernels, table)
+        return
+    player, record = found[0]
+    game, stack = trajectory(player.params, record), player.params.frame_stack
+    last = len(game.actions) - 1
+    steps = {"a quarter": last // 4, "half": last // 2, "the last step": last}
+    observations = {name: observation_at(game, step, stack) for name, step in steps.items()}
+    networks = {
+        params.title(run.agent): models.load_model(run.folder / "model.safetensors", run.params)
+        for run in section.usable
+        if run.seed == player.seed and (run.folder / "model.safetensors").exists()
+    }
+    show_figure(
+        figure(observations, networks),
+        label=label,
+        caption="What changes when a place is blurred: the value of the state, and the advantages "
+        f"of the actions over one another (bright: much, each map on its own scale). One game by "
+        f"{params.title(player.agent)}, its first evaluation game, at three moments.",
+        alt="Pictures of one game with bright spots where the networks look.",
+        data=section.origin,
+    )
+    if section.facts.boxers is not None:
+        sampled = [observation_at(game, step, stack) for step in range(0, last, SAMPLED)]
+        rows = []
+        for name, network in networks.items():
+            seen = [saliency(network, each) for each in sampled]
+            for kind in ("value", "advantages"):
+                maps = [getattr(each, kind) for each in seen]
+                rows.append({"agent": name, "what changes": kind, **shares(maps)})
+        show_table(
+            pd.DataFrame(rows),
+            label=table,
+            caption=f"Where the changes come from, in percent: the sum of the maps of "
+            f"{len(sampled)} states of that game, one every {SAMPLED} steps.",
+            decimals=0,
+        )
+    show_figure(
+        filters_figure(networks),
+        label=kernels,
+        caption="The 32 patterns of each first layer: a column each, from the oldest image (top) "
+        "to the newest. Red adds, blue takes away.",
+        alt="Small patterns of red and blue for each network's first layer.",
+        data=section.origin,
+    )
+
+
+def first_evaluated(run: Run) -> EpisodeRecord | None:
+    """The record of a run's first evaluation game as it was trained; None without one."""
+    if not (run.folder / records.FILE).exists():
+        return None
+    for heading, record in records.read_file(run.folder, torn=True):
+        if (
+            heading["kind"] == records.EVALUATION
+            and heading["game"] == 0
+            and heading["epsilon"] == run.params.evaluation_epsilon
+            and records.settings(run.params, heading) == run.params
+        ):
+            return record
+    return None

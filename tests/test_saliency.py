@@ -1,0 +1,59 @@
+"""What a network looks at is found where it looks."""
+
+import numpy as np
+import pytest
+import torch
+from torch import nn
+
+from atari_dqn.report import saliency
+from atari_dqn.runs.dataset import Trajectory
+
+
+class Looks(nn.Module):
+    """Two actions: the values rise with the brightness around one place of the newest image, and
+    the first one's advantage with that around another."""
+
+    def __init__(self, value, advantage):
+        super().__init__()
+        self.value, self.advantage = value, advantage
+        self.unused = nn.Parameter(torch.zeros(1))
+
+    def forward(self, observations):
+        def bright(place):
+            row, column = place
+            near = observations[:, row - 2 : row + 3, column - 2 : column + 3, -1]
+            return near.float().mean(dim=(1, 2))
+
+        state, apart = bright(self.value), bright(self.advantage)
+        return torch.stack([state + apart, state - apart], dim=1)
+
+
+@pytest.mark.parametrize(("value", "advantage"), [((10, 70), (62, 18)), ((62, 18), (10, 70))])
+def test_each_map_is_brightest_where_its_values_come_from(value, advantage):
+    rng = np.random.default_rng(0)
+    observation = rng.integers(0, 255, (84, 84, 4)).astype(np.uint8)
+    found = saliency.saliency(Looks(value, advantage), observation)
+    for place, heat in ((value, found.value), (advantage, found.advantages)):
+        row, column = np.unravel_index(heat.argmax(), heat.shape)
+        centre = np.array([row, column]) * saliency.STRIDE + saliency.STRIDE // 2
+        assert abs(centre - np.array(place)).max() <= 4
+        assert heat[row, column] > 20 * np.median(heat)
+
+
+def test_a_blur_changes_nothing_in_an_even_picture():
+    found = saliency.saliency(Looks((10, 70), (62, 18)), np.full((84, 84, 4), 90, np.uint8))
+    assert max(found.value.max(), found.advantages.max()) < 1e-3
+
+
+def test_an_observation_is_the_newest_images_with_the_first_before_the_beginning():
+    images = np.arange(6, dtype=np.uint8)[:, None, None] * np.ones((1, 84, 84), np.uint8)
+    game = Trajectory(images, *[np.zeros(5)] * 5)
+    for step, expected in ((0, [0, 0, 0, 0]), (2, [0, 0, 1, 2]), (5, [2, 3, 4, 5])):
+        assert saliency.observation_at(game, step, 4)[0, 0].tolist() == expected
+
+
+def test_the_shares_of_the_parts_are_those_of_the_sum():
+    score, ring, rope = (np.zeros((21, 21)) for _ in range(3))
+    score[1, 10], ring[12, 9], rope[12, 1] = 1, 5, 2
+    found = saliency.shares([score, ring, rope])
+    assert found == pytest.approx({"score and clock": 12.5, "ring": 62.5, "elsewhere": 25})
