@@ -26,7 +26,7 @@ def results(tmp_path_factory):
         for changes in (
             {"agents": ["dqn"], "seeds": [2], "snapshot_games": [1]},
             {"agents": ["dueling_double_dqn"]},
-            {"agents": ["dqn"], "experiment": "other", "game": "breakout"},
+            {"agents": ["dqn"], "experiment": "other+0123abcd", "game": "breakout"},
         ):
             recorder.train(Run(params.Parameters(**{**SMALL, **changes}), folder))
     (folder / "runs" / "small" / "dqn" / "seed-2.1").mkdir()  # kept aside
@@ -36,7 +36,7 @@ def results(tmp_path_factory):
 
 @pytest.fixture
 def panel(results):
-    return Explorer(results, "small", "dqn", 2)
+    return Explorer("smoke", results, "small", "dqn", 2)
 
 
 def shown(panel):
@@ -48,7 +48,7 @@ def options(dropdown):
 
 
 def test_what_is_stored_is_offered_and_what_was_asked_for_is_opened(panel):
-    assert options(panel.run[0]) == ["other", "small"]
+    assert options(panel.run[0]) == ["other: +0123abcd", "small"]
     assert [choice.value for choice in panel.run] == ["small", "dqn", 2]
     assert options(panel.run[1]) == ["DQN", "Dueling Double DQN"]
     assert options(panel.checkpoint) == ["3 games", "1 games"]
@@ -56,8 +56,8 @@ def test_what_is_stored_is_offered_and_what_was_asked_for_is_opened(panel):
     assert (panel.number.value, panel.number.max) == (3, 3)
     assert panel.facts.value.startswith("training game 3: step 0 of 49; best action ")
     assert options(panel.other) == ["Dueling Double DQN (small, seed 1)", "DQN (small, seed 2)"]
-    panel.run[0].value = "other"
-    assert [choice.value for choice in panel.run] == ["other", "dqn", 1]
+    panel.run[0].value = "other: +0123abcd"
+    assert [choice.value for choice in panel.run] == ["other: +0123abcd", "dqn", 1]
     assert options(panel.clock) == [UNCHANGED], "a game without one"
     assert options(panel.difficulty) == [UNCHANGED, "0", "1"]
 
@@ -205,7 +205,7 @@ def test_damaged_weights_are_told_in_the_panel(panel, results, monkeypatch):
 
 def test_without_an_agent_one_line_says_so(tmp_path):
     with pytest.raises(RunError, match=r"no agent is stored in .*runs"):
-        Explorer(tmp_path)
+        Explorer("smoke", tmp_path)
 
 
 def test_without_widgets_a_picture_and_its_facts_are_shown(panel, monkeypatch):

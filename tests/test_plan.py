@@ -12,7 +12,7 @@ from atari_dqn.analysis.study import comparable, run_table
 from atari_dqn.games import GAMES
 from atari_dqn.params import ParameterError
 from atari_dqn.report import build, fingerprint, plots
-from atari_dqn.runs import plan, recorder, styles
+from atari_dqn.runs import plan, recorder, robustness, styles
 from atari_dqn.runs.files import RunError
 from atari_dqn.runs.run import Run
 
@@ -141,7 +141,8 @@ def test_the_report_names_a_bad_file_of_somebodys_own_and_goes_on(project, monke
         raise RunError("the sections are executed")
 
     bad = write(project, "bad", gamma=2)
-    monkeypatch.setattr(styles, "EXPERIMENTS", ["small"])
+    for module in (styles, robustness):
+        monkeypatch.setattr(module, "EXPERIMENTS", ["small"])
     monkeypatch.setattr(build, "_execute", sections)
     with (
         pytest.warns(UserWarning, match=rf"{bad}: gamma: 2 is not allowed.*; left out"),

@@ -193,7 +193,7 @@ def test_contestants_must_keep_the_same_time(small):
 
 def test_action_names_are_words():
     names = ["NOOP", "FIRE", "UP", "UPRIGHTFIRE", "DOWNLEFT"]
-    assert [module._words(name) for name in names] == [
+    assert [module.words(name) for name in names] == [
         "noop",
         "fire",
         "up",

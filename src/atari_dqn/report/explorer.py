@@ -37,8 +37,8 @@ from atari_dqn.report.playthrough import (
     picture,
 )
 from atari_dqn.report.video import Critic, words
-from atari_dqn.runs import audit, models, records
-from atari_dqn.runs.files import RunError
+from atari_dqn.runs import audit, models, plan, records
+from atari_dqn.runs.files import RunError, results_folder
 from atari_dqn.runs.records import EVALUATION, TRAINING, VALUES, RecordError
 
 KEYS = {  # by what the browser calls them (KeyboardEvent.code)
@@ -60,7 +60,7 @@ RECORDED_LIKE_NEW = 10_000  # numbers that a new game may have
 SPACED = "2px 16px 2px 2px"
 FASTEST = [cv2.IMWRITE_PNG_COMPRESSION, 1]
 
-Key = tuple[str, str, int]  # experiment, with the hash of what was changed; agent; seed
+Key = tuple[str, str, int]  # experiment, and what was changed of it; agent; seed
 
 
 def interactive(wanted: bool | None) -> bool:
@@ -70,17 +70,18 @@ def interactive(wanted: bool | None) -> bool:
 
 
 class StoredAgents:
-    """The agents whose models are in a results folder. Raises RunError if there is none."""
+    """The agents whose models are stored, also those of changed parameters. Raises RunError if
+    there is none."""
 
-    def __init__(self, results: Path):
-        self.folders: dict[Key, Path] = {}
-        for path in sorted((results / "runs").glob("*/*/seed-*/model.safetensors")):
-            seed = path.parent.name.removeprefix("seed-")
-            if seed.isdigit():  # else it is kept aside
-                experiment, agent = path.parts[-4:-2]
-                self.folders[experiment, agent, int(seed)] = path.parent
+    def __init__(self, profile: str, results: Path | str | None):
+        self.folders: dict[Key, Path] = {
+            (run.title, run.agent, run.seed): run.folder
+            for run in plan.stored(profile, [], results)
+            if (run.folder / "model.safetensors").exists()
+        }
         if not self.folders:
-            raise RunError(f"no agent is stored in {results / 'runs'}; `make train` makes one")
+            folder = results_folder(profile, results) / "runs"
+            raise RunError(f"no agent is stored in {folder}; `make train` makes one")
 
     def choices(self, *chosen: str | int) -> list[Any]:
         """What can be chosen next: experiments; an experiment's agents; an agent's seeds."""
@@ -127,12 +128,12 @@ def _button(description: str, tooltip: str, **more: Any) -> widgets.Button:
 class Explorer:
     """A panel to choose a stored game with, to move through it, and to play on.
 
-    `experiment`, `agent` and `seed` are chosen at first, if they are stored. Raises RunError if no
-    agent is stored.
+    `first`, an experiment, an agent and a seed, is what is chosen at first, as far as it is stored.
+    Raises RunError if no agent is.
     """
 
-    def __init__(self, results: Path, *first: str | int | None):
-        self.agents = StoredAgents(results)
+    def __init__(self, profile: str, results: Path | str | None = None, *first: str | int | None):
+        self.agents = StoredAgents(profile, results)
         self.games: list[Playthrough] = []
         self.about = ""  # of the first game
         self.task: asyncio.Task | None = None  # that plays on
