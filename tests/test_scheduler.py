@@ -253,6 +253,11 @@ def test_two_runners_do_not_train_the_same_run_twice(project, small):
     assert json.loads((run.folder / "provenance.json").read_text())["resumes"] == 0
 
 
+def answers(port):
+    with socket.socket() as there:
+        return there.connect_ex(("127.0.0.1", port)) == 0
+
+
 @pytest.fixture
 def dask(project):
     """A scheduler and three workers that share a state folder: real processes on loopback."""
@@ -267,6 +272,7 @@ def dask(project):
             [*start, "scheduler", "--host", "127.0.0.1", "--port", port, "--no-dashboard"], **quiet
         )
     ]
+    wait_until(lambda: answers(int(port)))
     for _ in range(3):
         worker = [*start, "worker", address, "--nthreads", "1", "--no-nanny", "--no-dashboard"]
         processes.append(subprocess.Popen(worker, **quiet))
