@@ -403,7 +403,7 @@ def show_robustness(section: Section) -> None:
     show_table(
         table.drop(columns="seed") if table.seed.nunique() == 1 else table,
         label=label,
-        caption=f"{section.facts.title}, {section.name}: greedy games of finished agents under "
+        caption=f"{section.title}: greedy games of finished agents under "
         "conditions that they were trained for (first) and that they were not. The best "
         f"evaluation game's moves are made in each of the {p.noop_max} openings. Intervals are "
         "over games.",
