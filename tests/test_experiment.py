@@ -51,10 +51,10 @@ def test_a_run_is_followed_while_it_trains_and_its_evaluation_too(small, tmp_pat
     line, curve = displayed
     texts = line.texts
     assert texts[0] == "small/double_dqn/seed-1 begins"
-    assert texts[1] == "**small/double_dqn/seed-1**: 0 of 3 episodes"
+    assert texts[1] == "**small/double_dqn/seed-1**: 0 of 3 games"
     scores = read_table([run], "episodes.csv").score
     mean = f"{scores[:2].mean():.1f}".replace("-", "−")
-    assert f"2 of 3 episodes, mean score {mean} (last 2), about" in texts[3]
+    assert f"2 of 3 games, mean score {mean} (last 2), about" in texts[3]
     assert texts[4].endswith("0 of 4 games of the final evaluation")
     assert texts[6].endswith("2 of 4 games of the final evaluation")
     assert texts[-1] == "small/double_dqn/seed-1 is complete: 3 games"
@@ -80,7 +80,7 @@ def test_an_interrupted_run_is_one_line_and_goes_on(small, tmp_path, displayed, 
         return train(run, **options, asked_to_stop=lambda: run.status()["episodes_done"] == 2)
 
     monkeypatch.setattr(experiment.recorder, "train", interrupted)
-    with pytest.raises(RunError, match=r"^interrupted after 2 episodes, which are saved; this"):
+    with pytest.raises(RunError, match=r"^interrupted after 2 games, which are saved; this"):
         experiment.train(run)
     assert run.state() == "interrupted"
     monkeypatch.setattr(experiment.recorder, "train", train)
@@ -123,7 +123,7 @@ def test_a_run_is_shown_beside_the_stored_ones_of_its_experiment(stored, shown):
     assert set(rows) - set(curves) == {"human tester", "random play"}
     greedy = read_table([changed], "evaluations.csv").query("sticky_actions == 0").score.mean()
     row = rows["Double DQN, +0123abcd, seed 1"]
-    assert (row["episodes"], row["greedy"]) == ("3", f"{greedy:.1f}")
+    assert (row["games"], row["greedy"]) == ("3", f"{greedy:.1f}")
     assert rows["human tester"]["greedy"] == "12.1"
 
 
@@ -146,9 +146,7 @@ def test_the_video_and_the_commands_are_of_this_run(stored, shown, displayed, mo
     monkeypatch.setattr(experiment.outputs, "show_video", lambda video, **said: made.update(said))
     experiment.show_video(run, seconds=1)
     score = read_table([run], "evaluations.csv").score[0]
-    assert made["caption"].startswith(
-        "small/double_dqn/seed-1 after 3 training episodes: the first"
-    )
+    assert made["caption"].startswith("small/double_dqn/seed-1 after 3 training games: the first")
     assert made["caption"].endswith(f"ends with {score:g} points.".replace("-", "−"))
     experiment.show_commands(run)
     text = displayed[-1].texts[0]

@@ -42,7 +42,7 @@ def train(run: Run) -> None:
     except KeyboardInterrupt:
         live.update(done=True)
         raise RunError(
-            f"interrupted after {len(read_table([run], 'episodes.csv')):,} episodes, which are "
+            f"interrupted after {len(read_table([run], 'episodes.csv')):,} games, which are "
             "saved; this cell goes on when it is run again"
         ) from None
     live.update(done=True)
@@ -82,7 +82,7 @@ class Live:
 
     def _progress(self, episodes: pd.DataFrame, now: float) -> str:
         count, wanted = len(episodes), self.run.params.episodes
-        said = [f"**{self.run.name}**: {count:,} of {wanted:,} episodes"]
+        said = [f"**{self.run.name}**: {count:,} of {wanted:,} games"]
         if count:
             window = min(RECENT, count)
             mean = episodes.score.tail(window).mean()
@@ -157,8 +157,8 @@ def show_curve(run: Run) -> None:
         plots.comparison(table, facts, window, "variation", _source(run), OWN),
         label="fig-curve",
         caption=f"{run.name}, beside the stored runs of its experiment: raw score while training, "
-        f"with exploration{f', mean of the last {window} episodes' if window > 1 else ''}.",
-        alt="Learning curves: mean score against training episodes.",
+        f"with exploration{f', mean of the last {window} games' if window > 1 else ''}.",
+        alt="Learning curves: mean score against training games.",
     )
 
 
@@ -169,19 +169,19 @@ def show_scores(run: Run) -> None:
     if len(source):
         last = source.iloc[-1]
         name = f"source report, {params.title(run.agent)}"
-        rows.append({"who": name, "episodes": last.episode, "training": last.score})
+        rows.append({"who": name, "games": last.episode, "training": last.score})
     facts = GAMES[run.params.game]
     rows += [
         {"who": "human tester", "greedy": facts.human},
         {"who": "random play", "greedy": facts.random},
     ]
-    table = pd.DataFrame(rows, columns=["who", "episodes", "training", "greedy"])
-    table["episodes"] = [f"{int(each):,}" if pd.notna(each) else "–" for each in table.episodes]
+    table = pd.DataFrame(rows, columns=["who", "games", "training", "greedy"])
+    table["games"] = [f"{int(each):,}" if pd.notna(each) else "–" for each in table.games]
     outputs.show_table(
         table,
         label="tbl-scores",
-        caption=f"Scores in {facts.title}: mean of the last {RECENT} training episodes, with "
-        "exploration, and of the newest greedy episodes.",
+        caption=f"Scores in {facts.title}: mean of the last {RECENT} training games, with "
+        "exploration, and of the newest greedy games.",
         decimals=1,
     )
 
@@ -190,7 +190,7 @@ def _row(name: str, run: Run) -> dict[str, object]:
     episodes, greedy = read_table([run], "episodes.csv"), catalogue.greedy_play(run)
     return {
         "who": name,
-        "episodes": len(episodes),
+        "games": len(episodes),
         "training": episodes.score.tail(RECENT).mean(),
         "greedy": greedy.score if greedy else None,
     }
@@ -205,7 +205,7 @@ def show_video(run: Run, seconds: int) -> None:
     outputs.show_video(
         video,
         label="vid-game",
-        caption=f"{run.name} after {games:,} training episodes: the first {seconds} seconds of a "
+        caption=f"{run.name} after {games:,} training games: the first {seconds} seconds of a "
         f"greedy game that ends with {_number(video.games[0].score, 'g')} points.",
         alt="The game, what the network sees, the value of every action, and the score.",
     )
