@@ -122,7 +122,7 @@ def test_the_list_says_of_every_agent_what_is_stored(tmp_path, small, monkeypatc
     catalogue.write("full", tmp_path, tmp_path)
     first, second = listed(tmp_path)
     assert list(first) == [
-        *("experiment", "game", "agent", "seed", "training episodes", "training", "greedy"),
+        *("experiment", "game", "agent", "seed", "training games", "training", "greedy"),
         *("weights", "records", "video"),
     ]
     greedy = pd.read_csv(done.folder / "evaluations.csv").score.mean()
@@ -130,7 +130,7 @@ def test_the_list_says_of_every_agent_what_is_stored(tmp_path, small, monkeypatc
         *("small", "Pong", "Double DQN", "1", "2 of 2"),
         *(
             "−9.5",
-            f"{greedy:.1f} (2 episodes, after 2)".replace("-", "−"),
+            f"{greedy:.1f} (2 games, after 2)".replace("-", "−"),
         ),
     ]
     assert linked(tmp_path, first["weights"]) == done.folder / "model.safetensors"
@@ -176,9 +176,9 @@ def test_a_run_in_progress_is_listed_with_its_last_check(tmp_path, small, monkey
     catalogue.write("full", tmp_path, tmp_path)
     (row,) = listed(tmp_path)
     checked = pd.read_csv(run.folder / "values.csv").score.iloc[-1]
-    assert row["greedy"] == f"{checked:.1f} (3 episodes, after 1)".replace("-", "−")
+    assert row["greedy"] == f"{checked:.1f} (3 games, after 1)".replace("-", "−")
     assert linked(tmp_path, row["video"]).read_bytes() == film(
         run, kind="values", episode=1, game=3
     )
     status = json.loads((run.folder / "status.json").read_text())
-    assert row["training episodes"] == f"{status['episodes_done']} of 1"
+    assert row["training games"] == f"{status['episodes_done']} of 1"

@@ -19,10 +19,10 @@ RECENT = 100  # training episodes that a score is the mean of
 HEAD = """# The stored agents
 
 Made from the stored runs by `make report`. *Training* is the mean score of the last {recent}
-training episodes, with exploration; *greedy*, that of the newest greedy episodes, with their number
-and the training episodes before them, and the video shows the first of these. The weights are
+training games, with exploration; *greedy*, that of the newest greedy games, with their number
+and the training games before them, and the video shows the first of these. The weights are
 float16, as of the run's last checkpoint; [a few lines of PyTorch]({lines}#weights-for-others)
-load them. `replay` shows any other episode of the records.
+load them. `replay` shows any other game of the records.
 
 """
 NONE = "–"
@@ -63,9 +63,9 @@ def _row(run: Run, greedy: Greedy | None) -> dict[str, str]:
         "game": GAMES[run.params.game].title,
         "agent": params.title(run.agent),
         "seed": str(run.seed),
-        "training episodes": f"{trained:,} of {run.params.episodes:,}",
+        "training games": f"{trained:,} of {run.params.episodes:,}",
         "training": _points(scores.mean()) if len(scores) else NONE,
-        "greedy": f"{_points(greedy.score)} ({greedy.episodes} episodes, after {greedy.trained:,})"
+        "greedy": f"{_points(greedy.score)} ({greedy.episodes} games, after {greedy.trained:,})"
         if greedy
         else NONE,
         "weights": _link("model", files / "model.safetensors"),
