@@ -123,7 +123,9 @@ def test_settings_are_each_experiments_own():
         ("`game`", "boxing", "breakout"),
         ("`batch_size`", "32", "64"),
         ("`life_loss_penalty`", "0", "1"),
-        ("`learning_rate`", "0.0001", "0.0001"),
+        ("`epsilon_floor`", "0.01", "0.01"),
+        ("`learning_rate`", "1e-4", "1e-4"),
+        ("`adam_epsilon`", "1.5e-4", "1.5e-4"),
         ("`replay_capacity`", "1,000,000", "1,000,000"),
     ):
         assert table.loc[key, ["`boxing_final`", "`breakout_final`"]].tolist() == [boxing, breakout]

@@ -126,13 +126,17 @@ def _scored(section: Section, found: Standings) -> str:
     (best, top), *others = found.means.items()
     said = [f"{best} scores {top:.1f} points per game"]
     said += [f"{agent} {mean:.1f}" for agent, mean in others]
-    listed = " and ".join(filter(None, (", ".join(said[:-1]), said[-1])))
     each = " each" * bool(others)
     return (
-        f"{text}After {found.last:,} games of {facts.title}{each}, {listed} (mean of the last "
-        f"{found.last - found.first + 1} games; best possible {BEST}; one human tester "
+        f"{text}After {found.last:,} games of {facts.title}{each}, {_in_a_row(said)} (mean of the "
+        f"last {found.last - found.first + 1} games; best possible {BEST}; one human tester "
         f"{facts.human:g}; random play {facts.random:g})."
     )
+
+
+def _in_a_row(said: list[str]) -> str:
+    """Several things in words: "one, two and three"."""
+    return " and ".join(filter(None, (", ".join(said[:-1]), said[-1])))
 
 
 def _judged(verdicts: pd.Series) -> tuple[int, pd.Series]:
@@ -189,13 +193,13 @@ def duration(section: Section) -> str:
         return ""
     last = section.episodes.groupby(["agent", "seed"], sort=False).tail(1)
     said = [
-        f"{params.title(str(row.agent))}'s first {row.episode:,} took "
-        f"{row.seconds / 3600:.1f} hours"
+        f"{params.title(str(row.agent))} played {row.episode:,} games in {row.seconds / 3600:.1f} "
+        "hours"
         for row in last.itertuples()
     ]
     return (
         f"An agent is trained for {section.params.episodes:,} games, the source report's number. "
-        f"On one processor core each, in {section.facts.title}, {' and '.join(said)}."
+        f"In {section.facts.title}, on one processor core each, {_in_a_row(said)}."
     )
 
 
@@ -474,22 +478,24 @@ def values_reading(section: Section) -> str:
 def beside_source(section: Section) -> str:
     """The scores of the source report beside ours, at the last milestone that both have; empty if
     there is none."""
-    source, said, less = data("source_report"), [], False
+    source, said, less = data("source_report"), dict[str, list[str]](), False
     theirs = source.get(section.params.experiment, {})
     for agent, milestones in theirs.items() if section.params.episodes == MILESTONES[-1] else ():
         for milestone, score in reversed(list(zip(source["marks"], milestones, strict=True))):
             first = milestone - section.milestone_window + 1
             ours = section.scores(agent, first, milestone)
             if score is not None and len(ours):
-                which = f"games {first:,} to {milestone:,}"
-                said.append(f"{params.title(agent)} {ours.mean():.1f} and {score:.1f} ({which})")
+                which = f"over games {first:,} to {milestone:,}"
+                both = f"{params.title(agent)} {ours.mean():.1f} and {score:.1f}"
+                said.setdefault(which, []).append(both)
                 less |= ours.mean() < score
                 break
     if not said:
         return ""
-    text = f"Our scores and the source report's, where both are known: {', '.join(said)}."
+    listed = "; ".join(f"{which}, {', '.join(agents)}" for which, agents in said.items())
+    text = f"Our scores and the source report's: {listed}."
     if less:
-        text += " (@sec-why asks why.)"
+        text += " @sec-why discusses the difference."
     return text
 
 

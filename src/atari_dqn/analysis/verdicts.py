@@ -473,9 +473,13 @@ def overestimation(study: Study, experiment: str) -> Verdict:
         f"{params.title(agent)} {gaps.mean():+.2f}"
         for agent, gaps in zip((DQN, DOUBLE), sides, strict=True)
     )
+    returns = " and ".join(
+        f"{_checks(late, section, agent, last, 'realised')[common].to_numpy().mean():.2f}"
+        for agent in (DQN, DOUBLE)
+    )
     return Verdict(
         MORE(low, high),
-        f"mean gap of {said}; DQN's is larger by {low:.2f} to {high:.2f}",
+        f"mean gap of {said}; DQN's is larger by {low:.2f} to {high:.2f} (on returns of {returns})",
         min(map(len, sides)),
     )
 

@@ -8,7 +8,7 @@ from matplotlib import pyplot as plt
 from matplotlib.patheffects import withStroke
 
 from atari_dqn import params
-from atari_dqn.analysis.study import Study, data, hours, peak_megabytes
+from atari_dqn.analysis.study import TITLES, Study, data, hours, peak_megabytes
 from atari_dqn.report import plots
 from atari_dqn.report.outputs import (
     show_absent,
@@ -77,8 +77,9 @@ def show_throughput() -> None:
     ours = best[(best.library == OURS) & (best.agent == "dqn")].iloc[0]
     peer = best[(best.library != OURS) & (best.agent == "dqn")].iloc[0]
     show_text(
-        f"With DQN this project makes {ours.steps_per_second:.0f} agent steps per second "
-        f"({_rounds(ours)}; @fig-throughput), {ours.ratio_to_best_peer:.2f} times {peer.library} "
+        f"With DQN this project makes {ours.steps_per_second:.0f} agent steps per second on the "
+        f"whole machine ({_rounds(ours)}; @fig-throughput), {ours.ratio_to_best_peer:.2f} times "
+        f"{peer.library} "
         f"({_rounds(peer)}), the faster of two well-known libraries, in its best set-up. "
         "The *limit* of a method is the speed that a program would have if it did nothing but "
         "emulate the games and do the method's arithmetic at the processor's highest speed "
@@ -88,7 +89,7 @@ def show_throughput() -> None:
         f"{ours.share_of_direct_roofline:.0%} of that limit. More than 100% is possible because "
         "it uses a method with fewer multiplications. Measured against the limit for its own, "
         f"smaller number of multiplications, it reaches {ours.share_of_needed_roofline:.0%}; the "
-        "rest goes to the transforms, Adam's memory traffic and the replay memory."
+        "rest goes to the transforms, Adam's memory traffic and the replay memory (@tbl-breakdown)."
     )
     show_text(_gain_of_cores(measured[measured.library == OURS], machine["cores"]))
 
@@ -148,7 +149,7 @@ def show_learners() -> None:
     measured = pd.read_csv(path)
     shown = pd.DataFrame(
         {
-            "run": measured.experiment,
+            "run": [TITLES[name] for name in measured.experiment],
             "agent": measured.agent.map(lambda agent: params.title(agent)),
             "PyTorch": measured.torch_steps_per_second,
             "native": measured.native_steps_per_second,
@@ -245,7 +246,8 @@ def show_hours(study: Study) -> None:
         text += (
             f" On average they made {total.agent_steps / total.seconds:.0f} agent steps per second "
             f"of the clock and {total.agent_steps / total.cpu_seconds:.0f} per second of processor "
-            "time."
+            "time. (@tbl-learners counts the training loop alone, without greedy games and "
+            "checkpoints.)"
         )
     theirs = data("source_report")
     if early.complete and early.params.profile == "full":

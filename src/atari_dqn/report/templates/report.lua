@@ -145,10 +145,17 @@ local function rows(element)
   return count
 end
 
+local after_long = false -- what floats to the top, after a broken table, would stand within that
+
 local function short_table(element)
-  if rows(element) > WHOLE then return nil end
-  return wrapped("#floating[", { element }, "]")
+  if rows(element) > WHOLE then
+    after_long = true
+    return nil
+  end
+  return wrapped(after_long and "#floating(to: bottom)[" or "#floating[", { element }, "]")
 end
+
+local function heading() after_long = false end
 
 -- The abstract stands before the contents, wherever the text has it.
 local function document(whole)
@@ -171,6 +178,7 @@ end
 local first = { Str = minus, Span = span, Div = division, Pandoc = document }
 if paper then
   first.Figure, first.Table, first.CodeBlock, first.Inlines = figure, short_table, listing, times
+  first.Header = heading
 else
   first.Inlines = glue
 end
