@@ -25,7 +25,8 @@ TEXT = rf"""
 
 The share $\varepsilon$, or more, is random. {WORDS} An image has 84 × 84 pixels.
 
-See @fig-tall, @fig-wide, @vid-hero, @tbl-long, @eq-long, @sec-rules, @sec-more and [@mnih2015].
+See @fig-tall, @fig-wide, @vid-hero, @tbl-long, @eq-long, @sec-rules, @sec-more and
+[@mnih2015; @greydanus2018].
 
 {LONG} {{#eq-long}}
 
