@@ -37,7 +37,8 @@ def memories(parameters, device, steps=60):
         gpu.new_memory(parameters, np.random.SeedSequence(1), torch.device("cpu")),
         gpu.GPUReplayMemory(
             *(parameters.replay_capacity, 2, 4, parameters.gamma, np.random.SeedSequence(1)),
-            *(parameters.n_steps, device),
+            parameters.n_steps,
+            device=device,
         ),
     ]
     envs, rng = VectorEnv(parameters, np.random.SeedSequence(2)), np.random.default_rng(0)

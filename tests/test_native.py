@@ -416,3 +416,11 @@ def test_several_processes_may_build_it_at_once(tmp_path):
     assert [process.returncode for process in started] == [0, 0]
     (path,) = printed
     assert list((tmp_path / "atari_dqn" / "native").iterdir()) == [Path(path.decode().strip())]
+
+
+def test_the_native_learner_is_had_where_it_is_asked_for_beside_a_gpu_too(small, monkeypatch):
+    monkeypatch.setattr(native, "torch_device", lambda name: torch.device("cuda"))
+    monkeypatch.setattr(native, "GraphLearner", lambda *given: "on the GPU")
+    for learner, expected in (("auto", "on the GPU"), ("torch", "on the GPU")):
+        assert new_learner(AGENTS["dqn"], 6, small(learner=learner), 1) == expected
+    assert new_learner(AGENTS["dqn"], 6, small(learner="native"), 1).kind == "native"

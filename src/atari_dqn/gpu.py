@@ -7,16 +7,17 @@ instead of its many small kernels one by one.
 
 from collections.abc import Callable
 from copy import deepcopy
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from atari_dqn.agents import Agent, Learner
+from atari_dqn.agents import Learner
 from atari_dqn.envs import SIZE
 from atari_dqn.params import Parameters
-from atari_dqn.replay import PIXELS, Batch, Drawn, ImageCodec, ReplayMemory
+from atari_dqn.replay import PIXELS, Batch, Drawn, ImageCodec, ImageStore, ReplayMemory
 
 WARM_UP = 3  # updates before the recording, as PyTorch's documentation of graphs asks for
 CHUNK = 4096  # images that are compressed or decompressed at a time
@@ -34,28 +35,18 @@ def new_memory(
         seed,
         params.n_steps,
     )
-    return ReplayMemory(*given) if device.type == "cpu" else GPUReplayMemory(*given, device)
+    return ReplayMemory(*given) if device.type == "cpu" else GPUReplayMemory(*given, device=device)
 
 
 class GPUReplayMemory(ReplayMemory):
-    """A replay memory whose images lie on a GPU, a byte per pixel: 7 GB for a million.
+    """A replay memory whose images lie on a GPU, a byte per pixel. `given` is what a `ReplayMemory`
+    is given; the state is that of one with the same contents."""
 
-    Its state is that of a `ReplayMemory` with the same contents.
-    """
-
-    def __init__(
-        self,
-        capacity: int,
-        streams: int,
-        stack: int,
-        gamma: float,
-        seed: np.random.SeedSequence,
-        n_steps: int,
-        device: torch.device,
-    ):
-        super().__init__(capacity, streams, stack, gamma, seed, n_steps)
+    def __init__(self, *given: Any, device: torch.device):
+        super().__init__(*given)
         # one row of streams after the other, as slots are numbered
-        self.images = torch.zeros((self.rows * streams, PIXELS), dtype=torch.uint8, device=device)
+        slots = self.rows * self.streams
+        self.images = torch.zeros((slots, PIXELS), dtype=torch.uint8, device=device)
 
     def sample(self, count: int) -> "GPUBatch":  # type: ignore[override]
         return GPUBatch(self.images, self.draw(count))
@@ -68,45 +59,41 @@ class GPUReplayMemory(ReplayMemory):
 
     def get_state(self) -> dict[str, Any]:
         assert self.codec is not None
-        for chunk in np.array_split(self._oldest_first(), max(1, len(self) // CHUNK)):
-            images = self.images[torch.from_numpy(chunk).to(self.images.device)].cpu().numpy()
-            for slot, image in zip(chunk.tolist(), images, strict=True):
+        for slots in self._chunks():
+            for slot, image in zip(slots.tolist(), self.images[slots].cpu().numpy(), strict=True):
                 self.frames[slot] = self.codec.compress(image)
         state = super().get_state()
-        self.frames = type(self.frames)(self.rows * self.streams)
+        self.frames = ImageStore(self.rows * self.streams)
         return state
 
     def set_state(self, state: dict[str, Any]) -> None:
         super().set_state(state)
-        for chunk in np.array_split(self._oldest_first(), max(1, len(self) // CHUNK)):
-            images = torch.from_numpy(self._images(chunk).copy())
-            self.images[torch.from_numpy(chunk).to(self.images.device)] = images.to(
-                self.images.device
-            )
-        self.frames = type(self.frames)(self.rows * self.streams)
+        for slots in self._chunks():
+            images = self._images(slots.cpu().numpy()).copy()
+            self.images[slots] = torch.from_numpy(images).to(self.images.device)
+        self.frames = ImageStore(self.rows * self.streams)
+
+    def _chunks(self) -> tuple[Tensor, ...]:
+        """The written slots, oldest first, int64, in parts."""
+        return torch.from_numpy(self._oldest_first()).to(self.images.device).split(CHUNK)
 
 
+@dataclass(frozen=True)
 class GPUBatch:
-    """Transitions whose images lie in `images`, uint8 [slots, 84*84], on the GPU."""
+    """Transitions whose images lie on the GPU."""
 
-    def __init__(self, images: Tensor, drawn: Drawn):
-        self.images, self.drawn = images, drawn
+    images: Tensor  # uint8 [slots, 84*84]
+    drawn: Drawn
 
 
 class GraphLearner(Learner):
-    """`agents.Learner` on a GPU: the same update, replayed as a CUDA graph."""
+    """`agents.Learner` on a GPU: the same update, replayed as a CUDA graph. `given` is what a
+    `Learner` is given."""
 
-    def __init__(
-        self,
-        agent: Agent,
-        actions: int,
-        params: Parameters,
-        seed: int,
-        initial: dict[str, Tensor] | None = None,
-    ):
+    def __init__(self, *given: Any):
         torch.backends.cudnn.allow_tf32 = False  # it keeps 10 of a product's 23 bits
         torch.backends.cudnn.deterministic = True  # slower by a third, but a run can be repeated
-        super().__init__(agent, actions, params, seed, initial)
+        super().__init__(*given)
         self.acting: _Graph | None = None
         self.learning: _Graph | None = None
 

@@ -21,6 +21,7 @@ from atari_dqn.runs.run import (
     RUNNING,
     STALE,
     Run,
+    as_trained,
     read_table,
     runs_of,
 )
@@ -124,19 +125,7 @@ class Section:
     @cached_property
     def evaluations(self) -> pd.DataFrame:
         """Those of `all_evaluations` that were played as the experiment trains and evaluates."""
-        return self.as_trained(self.all_evaluations)
-
-    def as_trained(self, table: pd.DataFrame) -> pd.DataFrame:
-        """The evaluation games in `table` that were played as the experiment trains and
-        evaluates."""
-        if table.empty:
-            return table
-        p = self.params
-        return table[
-            (table.difficulty == p.difficulty)
-            & (table.sticky_actions == p.sticky_actions)
-            & (table.epsilon == p.evaluation_epsilon)
-        ]
+        return as_trained(self.all_evaluations, self.params)
 
     @cached_property
     def stored_evaluations(self) -> pd.DataFrame:

@@ -33,6 +33,7 @@ from atari_dqn.analysis.statistics import (
     welch_interval,
 )
 from atari_dqn.analysis.study import Section, Study
+from atari_dqn.runs.run import as_trained
 
 DQN, DOUBLE, DUELING = "dqn", "double_dqn", "dueling_double_dqn"
 SEEDS = 3  # from which an interval is over seeds
@@ -332,7 +333,7 @@ def compare_evaluations(study: Study, first: str, second: str) -> list[Verdict]:
 
 def _greedy_episodes(section: Section, agent: str) -> pd.DataFrame:
     """The evaluation episodes of the agent's finished runs, played as it was trained."""
-    table = section.as_trained(section.final_evaluations)
+    table = as_trained(section.final_evaluations, section.params)
     return table if table.empty else table[table.agent == agent]
 
 

@@ -158,7 +158,7 @@ def new_learner(
     given = (agent, actions, params, seed, initial)
     if params.learner == "native" and params.device == "cuda":
         raise ParameterError("learner: 'native' is not allowed: it needs the CPU; device is 'cuda'")
-    if torch_device(params.device).type == "cuda":
+    if params.learner != "native" and torch_device(params.device).type == "cuda":
         return GraphLearner(*given)
     if params.learner == "torch":
         return Learner(*given)

@@ -13,7 +13,7 @@ from atari_dqn.games import GAMES
 from atari_dqn.report.video import television
 from atari_dqn.runs import models, plan, records
 from atari_dqn.runs.files import project_root, write_atomically
-from atari_dqn.runs.run import Run, read_table
+from atari_dqn.runs.run import Run, as_trained, read_table
 
 RECENT = 100  # training episodes that a score is the mean of
 HEAD = """# The stored agents
@@ -89,8 +89,7 @@ def greedy_play(run: Run) -> Greedy | None:
         "sticky_actions": p.sticky_actions,
         "epsilon": p.evaluation_epsilon,
     }
-    for key, value in played_as.items():
-        evaluated = evaluated[evaluated[key] == value] if len(evaluated) else evaluated
+    evaluated = as_trained(evaluated, p)
     if len(evaluated):
         trained = int(evaluated.trained_games.max())
         scores = evaluated[evaluated.trained_games == trained].score

@@ -126,14 +126,16 @@ def show_gpu() -> None:
     found = sorted((project_root() / FOLDER).glob("gpu_breakout_*.csv"))
     if not found:
         return
+    machine = json.loads((project_root() / FOLDER / "gpu.json").read_text())
     speeds, games = [], []
     for path in found:
         run = pd.read_csv(path)
         speeds.append(run.agent_steps.iloc[-1] / run.seconds.iloc[-1])
         games.append(len(run))
     show_text(
-        f"On an NVIDIA H100, with 16 processor cores, {len(found)} runs of Breakout's final "
-        "settings were tried side by side, four emulator processes each: they made "
+        f"On an {machine['gpu']}, with {machine['cores']} processor cores, {len(found)} runs of "
+        "Breakout's final settings were tried side by side, "
+        f"{machine['emulator_processes']} emulator processes each: they made "
         f"{min(speeds):,.0f} to {max(speeds):,.0f} agent steps per second each, until the time on "
         f"that machine was over after {min(games):,} to {max(games):,} games. No other figure of "
         "this report is from them."

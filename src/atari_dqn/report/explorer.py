@@ -13,7 +13,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import cv2
 import ipywidgets as widgets
 import numpy as np
 from ipyevents import Event
@@ -35,6 +34,7 @@ from atari_dqn.report.playthrough import (
     Playthrough,
     action_of,
     picture,
+    png,
 )
 from atari_dqn.report.video import Critic, words
 from atari_dqn.runs import audit, models, plan, records
@@ -58,7 +58,6 @@ KINDS = {
 UNCHANGED = "unchanged"  # None would be no choice to a drop-down list
 RECORDED_LIKE_NEW = 10_000  # numbers that a new game may have
 SPACED = "2px 16px 2px 2px"
-FASTEST = [cv2.IMWRITE_PNG_COMPRESSION, 1]
 
 Key = tuple[str, str, int]  # experiment, and what was changed of it; agent; seed
 
@@ -401,9 +400,8 @@ class Explorer:
 
     def _draw(self) -> None:
         if self.games:
-            drawn = picture(self.games, self.moment.value)
-            data = cv2.imencode(".png", drawn[:, :, ::-1], FASTEST)[1]
-            self.picture.value, self.facts.value = data.tobytes(), self._facts()
+            self.picture.value = png(picture(self.games, self.moment.value))
+            self.facts.value = self._facts()
 
     def _facts(self) -> str:
         """A line about what is seen."""

@@ -152,11 +152,8 @@ class Playthrough:
             env.set_clock(changed["clock"])
 
     def _look(self) -> None:
-        env = self.episode.env
-        fastest = [cv2.IMWRITE_PNG_COMPRESSION, 1]
-        screen = cv2.imencode(".png", env.render()[:, :, ::-1], fastest)[1].tobytes()
-        image = self.episode.planes[-1].copy()
-        self.sights.append(Sight(screen, image, env.score, env.places()))
+        env, image = self.episode.env, self.episode.planes[-1].copy()
+        self.sights.append(Sight(png(env.render()), image, env.score, env.places()))
 
     def _judge(self) -> None:
         """Lets the network judge the moments that it has not judged yet."""
@@ -166,6 +163,11 @@ class Playthrough:
             q_values, values = self.critic(planes)
             self.q_values += list(q_values)
             self.values += values.tolist()
+
+
+def png(drawn: np.ndarray) -> bytes:
+    """A picture, uint8 [height, width, 3], as a PNG that is made fast rather than small."""
+    return cv2.imencode(".png", drawn[:, :, ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes()
 
 
 def picture(games: Sequence[Playthrough], moment: int) -> np.ndarray:

@@ -191,12 +191,5 @@ def first_evaluated(run: Run) -> EpisodeRecord | None:
     """The record of a run's first evaluation game as it was trained; None without one."""
     if not (run.folder / records.FILE).exists():
         return None
-    for heading, record in records.read_file(run.folder, torn=True):
-        if (
-            heading["kind"] == records.EVALUATION
-            and heading["game"] == 0
-            and heading["epsilon"] == run.params.evaluation_epsilon
-            and records.settings(run.params, heading) == run.params
-        ):
-            return record
-    return None
+    games = records.as_trained(run.params, records.read_file(run.folder, torn=True))
+    return next((record for heading, record in games if heading["game"] == 0), None)

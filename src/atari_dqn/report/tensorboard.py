@@ -22,7 +22,7 @@ from torch.utils.tensorboard.summary import hparams, scalar
 from atari_dqn.envs import AtariEnv, EpisodeRecord
 from atari_dqn.params import NOT_TRAINING
 from atari_dqn.runs import records
-from atari_dqn.runs.run import COMPLETE, Run
+from atari_dqn.runs.run import COMPLETE, Run, as_trained
 
 FOLDER = "tensorboard"  # of a run's folder
 WINDOW = 100  # games that the mean score and the speed are of
@@ -114,13 +114,8 @@ class Board:
         path, params = self.run.folder / "evaluations.csv", self.run.params
         if not path.exists():  # the run's end makes it
             return pd.DataFrame(columns=["episode", "score"])
-        table = pd.read_csv(path)
-        like_training = (
-            (table.difficulty == params.difficulty)
-            & (table.sticky_actions == params.sticky_actions)
-            & (table.epsilon == params.evaluation_epsilon)
-        )
-        means = table[like_training].groupby("trained_games").score.mean()
+        table = as_trained(pd.read_csv(path), params)
+        means = table.groupby("trained_games").score.mean()
         return means.rename_axis("episode").reset_index()
 
     def _new(self, name: str, table: pd.DataFrame) -> pd.DataFrame:

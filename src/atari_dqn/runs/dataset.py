@@ -1,7 +1,7 @@
 """A run's records as data to learn from offline: every image, action and reward of its games.
 
-Nothing is trained to get them: the emulator plays the games again, some 1,500 agent steps per
-second. The fields of an exported file bear the names that Minari and Gymnasium use.
+Nothing is trained to get them: the emulator plays the games again. The fields of an exported file
+bear the names that Minari and Gymnasium use.
 """
 
 from collections.abc import Iterator
@@ -70,9 +70,9 @@ def rebuilt_memory(folder: Path, games: int, capacity: int, seed: int = 0) -> Re
     still being played; they lie in one stream, game after game.
     """
     params = stored_parameters(folder)
-    memory = ReplayMemory(
-        capacity, 1, params.frame_stack, params.gamma, np.random.SeedSequence(seed)
-    )
+    sequence = np.random.SeedSequence(seed)
+    given = (params.frame_stack, params.gamma, sequence, params.n_steps)
+    memory = ReplayMemory(capacity, 1, *given)
     newest = records.read_file(folder, torn=True)
     lengths = [
         len(record.actions) + 1

@@ -165,6 +165,17 @@ def settings(params: Parameters, heading: Heading) -> Parameters:
     return params.model_copy(update=changes)
 
 
+def as_trained(params: Parameters, games: list[Game]) -> list[Game]:
+    """Those of some games that evaluate as `params` train and evaluate."""
+    return [
+        (heading, record)
+        for heading, record in games
+        if heading["kind"] == EVALUATION
+        and heading["epsilon"] == params.evaluation_epsilon
+        and settings(params, heading) == params
+    ]
+
+
 def begin(params: Parameters, record: EpisodeRecord) -> tuple[AtariEnv, np.ndarray]:
     """The game before its first action, and its first image, uint8 [84, 84].
 

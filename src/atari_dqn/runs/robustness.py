@@ -23,7 +23,7 @@ from atari_dqn.evaluation import Player
 from atari_dqn.params import Parameters
 from atari_dqn.runs import models, records
 from atari_dqn.runs.files import write_atomically
-from atari_dqn.runs.run import COMPLETE, Run
+from atari_dqn.runs.run import COMPLETE, Run, as_trained
 
 EXPERIMENTS = ("boxing_final", "breakout_final")  # whose agents are put to it
 SEQUENCE, MIRRORED = "sequence", "mirrored"
@@ -83,21 +83,13 @@ def best_game(run: Run, trained: int) -> EpisodeRecord:
     the first. Raises RecordError if none is on record."""
     games = [
         (heading, record)
-        for heading, record in records.read_file(run.folder)
-        if heading["kind"] == records.EVALUATION
-        and heading["trained_games"] == trained
-        and heading["epsilon"] == run.params.evaluation_epsilon
-        and records.settings(run.params, heading) == run.params
+        for heading, record in records.as_trained(run.params, records.read_file(run.folder))
+        if heading["trained_games"] == trained
     ]
     if not games:
         raise records.RecordError(f"{run.folder} has no evaluation game of its model on record")
-    table = pd.read_csv(run.folder / "evaluations.csv")
-    table = table[
-        (table.trained_games == trained)
-        & (table.epsilon == run.params.evaluation_epsilon)
-        & (table.difficulty == run.params.difficulty)
-        & (table.sticky_actions == run.params.sticky_actions)
-    ]
+    table = as_trained(pd.read_csv(run.folder / "evaluations.csv"), run.params)
+    table = table[table.trained_games == trained]
     best = table.sort_values("game").set_index("game").score.idxmax()
     return next(record for heading, record in games if heading["game"] == best)
 

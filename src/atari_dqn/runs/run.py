@@ -233,6 +233,17 @@ def runs_of(parameters: Parameters, results: Path) -> list[Run]:
     ]
 
 
+def as_trained(table: "pd.DataFrame", parameters: Parameters) -> "pd.DataFrame":
+    """The evaluation games in a table that were played as `parameters` train and evaluate."""
+    if table.empty:
+        return table
+    return table[
+        (table.difficulty == parameters.difficulty)
+        & (table.sticky_actions == parameters.sticky_actions)
+        & (table.epsilon == parameters.evaluation_epsilon)
+    ]
+
+
 def read_table(runs: list[Run], name: str) -> "pd.DataFrame":
     """One table of all runs' `name` (episodes.csv, ...), with experiment, variation, agent and
     seed."""

@@ -32,18 +32,15 @@ class ValueChecks:
 
     def ask(self, learner: Learner | NativeLearner, episode: int) -> None:
         """For a check of the learner's weights as they are after so many games."""
-        if self.pool is not None:
-            weights = {name: value.cpu().numpy() for name, value in learner.weights().items()}
-            self.waiting.append(
-                self.pool.submit(_check_weights, weights, self.params, episode, self.seed)
-            )
-            return
         if self.states is None:
             self.states = evaluation.held_out_states(self.params)
+        given = (self.params, self.states, episode, self.seed)
+        if self.pool is not None:
+            weights = {name: value.cpu().numpy() for name, value in learner.weights().items()}
+            self.waiting.append(self.pool.submit(_check_weights, weights, *given))
+            return
         future: Future[Checked] = Future()
-        future.set_result(
-            evaluation.check_values(learner.q_values, self.params, self.states, episode, self.seed)
-        )
+        future.set_result(evaluation.check_values(learner.q_values, *given))
         self.waiting.append(future)
 
     def finished(self, wait: bool = False) -> list[Checked]:
@@ -60,10 +57,14 @@ class ValueChecks:
 
 
 def _check_weights(
-    weights: dict[str, np.ndarray], params: Parameters, episode: int, seed: int
+    weights: dict[str, np.ndarray],
+    params: Parameters,
+    states: np.ndarray,
+    episode: int,
+    seed: int,
 ) -> Checked:
     params = params.model_copy(update={"device": "cpu"})
     network = AGENTS[params.agents[0]].network(params.frame_stack, len(make_env(params).actions))
     network.load_state_dict({name: torch.from_numpy(value) for name, value in weights.items()})
-    player, held_out = evaluation.player_of(network, params), evaluation.held_out_states(params)
-    return evaluation.check_values(player, params, held_out, episode, seed)
+    player = evaluation.player_of(network, params)
+    return evaluation.check_values(player, params, states, episode, seed)
