@@ -136,7 +136,7 @@ def shares(maps: list[np.ndarray]) -> dict[str, float]:
 
 
 def show_saliency(section: Section) -> None:
-    """What the newest network of each agent looks at in one game, and their first layers."""
+    """What the network of each evaluated agent looks at in one game, and their first layers."""
     label, kernels = f"fig-{section.slug}-saliency", f"fig-{section.slug}-filters"
     table = f"tbl-{section.slug}-saliency"
     found = [(run, record) for run in section.usable if (record := first_evaluated(run))]
@@ -150,8 +150,8 @@ def show_saliency(section: Section) -> None:
     observations = {name: observation_at(game, step, stack) for name, step in steps.items()}
     networks = {
         params.title(run.agent): models.load_model(run.folder / "model.safetensors", run.params)
-        for run in section.usable
-        if run.seed == player.seed and (run.folder / "model.safetensors").exists()
+        for run, _ in found
+        if run.seed == player.seed
     }
     show_figure(
         figure(observations, networks),
