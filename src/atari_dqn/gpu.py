@@ -1,8 +1,8 @@
 """Learning on a GPU: the update of `agents.Learner`, recorded once and replayed as a CUDA graph,
 and a replay memory whose images lie on the GPU.
 
-A batch then travels as the numbers of its slots, and Python launches one graph for an update
-instead of its many small kernels one by one.
+A batch then travels as the numbers of its slots, Python launches one graph for an update instead of
+its many small kernels one by one, and does not wait for it: the emulators play meanwhile.
 """
 
 from collections.abc import Callable
@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from atari_dqn.agents import Learner
 from atari_dqn.envs import SIZE
@@ -86,14 +86,47 @@ class GPUBatch:
     drawn: Drawn
 
 
+class _Convolve(torch.autograd.Function):
+    """A convolution whose weights' gradient is one product of matrices: of cuDNN's kernels for it,
+    those that give the same bits every time take as long as the rest of an update's backward
+    pass."""
+
+    @staticmethod
+    def forward(ctx: Any, x: Tensor, weight: Tensor, bias: Tensor, stride: int) -> Tensor:
+        ctx.save_for_backward(x, weight)
+        ctx.stride = stride
+        return nn.functional.conv2d(x, weight, bias, stride)
+
+    @staticmethod
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, Tensor, Tensor, None]:  # type: ignore[override]
+        x, weight = ctx.saved_tensors  # [N, C, H, W], [O, C, K, K]
+        side, stride = weight.shape[-1], ctx.stride
+        patches = x.unfold(2, side, stride).unfold(3, side, stride)  # [N, C, h, w, K, K]
+        patches = patches.permute(0, 2, 3, 4, 5, 1).flatten(0, 2).flatten(1)  # [N*h*w, K*K*C]
+        outputs = gradient.permute(0, 2, 3, 1).flatten(0, 2)  # [N*h*w, O]
+        to_weight = (outputs.T @ patches).unflatten(1, (side, side, -1)).permute(0, 3, 1, 2)
+        to_x = None
+        if ctx.needs_input_grad[0]:
+            to_x = nn.grad.conv2d_input(x.shape, weight, gradient, stride)
+        return to_x, to_weight, outputs.sum(0), None
+
+
+class _Convolution(nn.Conv2d):
+    def forward(self, x: Tensor) -> Tensor:
+        return _Convolve.apply(x, self.weight, self.bias, self.stride[0])
+
+
 class GraphLearner(Learner):
     """`agents.Learner` on a GPU: the same update, replayed as a CUDA graph. `given` is what a
     `Learner` is given."""
 
     def __init__(self, *given: Any):
         torch.backends.cudnn.allow_tf32 = False  # it keeps 10 of a product's 23 bits
-        torch.backends.cudnn.deterministic = True  # slower by a third, but a run can be repeated
+        torch.backends.cudnn.deterministic = True  # a run can be repeated
         super().__init__(*given)
+        for layer in self.online.convolutions:
+            if isinstance(layer, nn.Conv2d):
+                layer.__class__ = _Convolution
         self.acting: _Graph | None = None
         self.learning: _Graph | None = None
 
@@ -105,13 +138,14 @@ class GraphLearner(Learner):
             self.acting = _Graph(self.online, [self._tensor(observations)])
         return self.acting(torch.from_numpy(observations)).cpu().numpy()
 
-    def learn(self, batch: GPUBatch) -> tuple[float, float]:  # type: ignore[override]
+    def learn(self, batch: GPUBatch) -> Tensor:  # type: ignore[override]
+        """Returns loss and Q(s_tm1, a_tm1) as a tensor [2] of the GPU's, which is not waited for."""
         inputs = [torch.from_numpy(array) for array in vars(batch.drawn).values()]
         if self.learning is None:
             self.learning = self._recorded(batch.images, inputs)
-        loss, q = self.learning(*inputs).tolist()
+        loss_and_q = self.learning(*inputs).clone()  # the next update overwrites its own
         self._count_update()
-        return loss, q
+        return loss_and_q
 
     def set_state(self, state: dict[str, Any]) -> None:
         super().set_state(state)

@@ -90,6 +90,7 @@ class Trainer:
         self.memory = new_memory(params, seeds[1], self.learner.device)
         self.agent_steps, self.episodes, self.frames = 0, 0, 0
         self.sums = np.zeros(3)  # loss, Q-value, updates since games last finished
+        self.newest: list[Any] = []  # loss and Q-value of updates that are not in the sums yet
         self.means = (float("nan"), float("nan"))
         self.waiting: deque[Episode] = deque()  # games that ended together are reported in turn
         images = self.envs.planes[-1]
@@ -110,10 +111,14 @@ class Trainer:
         probability = epsilon(self.params, self.episodes)
         q_values = self.learner.q_values(self.envs.observations())
         actions = epsilon_greedy(q_values, probability, self.rng)
+        on_gpu = self.learner.device.type == "cuda"
+        if on_gpu:  # what the step before left to learn, while the emulators play
+            self._learn()
         self.agent_steps += int((~self.envs.ended).sum())  # an ended game only restarts
         step = self.envs.step(actions)
         self.memory.append(step.images, step.ages, actions, step.rewards, step.terminated)
-        self._learn()
+        if not on_gpu:
+            self._learn()
         if step.finished:
             self._finish(step.finished, probability)
 
@@ -122,11 +127,20 @@ class Trainer:
         due = max(0, steps // self.params.update_period) - self.learner.updates
         self.learner.set_learning_rate(learning_rate(self.params, self.episodes))
         for _ in range(due):
-            loss, q = self.learner.learn(self.memory.sample(self.params.batch_size))
+            self.newest.append(self.learner.learn(self.memory.sample(self.params.batch_size)))
+
+    def _sum_up(self) -> np.ndarray:
+        """The sums with the newest updates in them. A GPU gives their numbers as tensors, and is
+        waited for only here."""
+        if self.newest and isinstance(self.newest[0], torch.Tensor):
+            self.newest = torch.stack(self.newest).tolist()
+        for loss, q in self.newest:
             self.sums += (loss, q, 1)
+        self.newest = []
+        return self.sums
 
     def _finish(self, games: list[FinishedEpisode], probability: float) -> None:
-        loss, q, updates = self.sums
+        loss, q, updates = self._sum_up()
         if updates:
             self.means = (loss / updates, q / updates)
             self.sums = np.zeros(3)
@@ -156,7 +170,7 @@ class Trainer:
             "agent_steps": self.agent_steps,
             "episodes": self.episodes,
             "frames": self.frames,
-            "sums": self.sums,
+            "sums": self._sum_up(),
             "means": list(self.means),
             "waiting": [asdict(episode) for episode in self.waiting],
         }
@@ -169,7 +183,7 @@ class Trainer:
         self.rng.bit_generator.state = state["rng"]
         self.agent_steps, self.episodes = state["agent_steps"], state["episodes"]
         self.frames = state["frames"]
-        self.sums[:] = state["sums"]
+        self.sums[:], self.newest = state["sums"], []
         self.means = tuple(state["means"])
         self.waiting = deque(
             Episode(**{**episode, "record": EpisodeRecord(**episode["record"])})
