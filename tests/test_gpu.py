@@ -99,7 +99,8 @@ def test_the_recorded_update_is_the_reference_learners(small, device, agent, n_s
         for each in (reference, learner):
             each.set_learning_rate(1e-4 * (1 + update))
         expected = reference.learn(compressed.sample(8))
-        assert learner.learn(on_gpu.sample(8)).tolist() == pytest.approx(expected, rel=1e-3, abs=1e-5)
+        found = learner.learn(on_gpu.sample(8)).tolist()
+        assert found == pytest.approx(expected, rel=1e-3, abs=1e-5)
     assert learner.updates == reference.updates == 16
     for name, weight in reference.weights().items():
         moved = (weight - start[name]).norm()

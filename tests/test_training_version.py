@@ -26,7 +26,7 @@ MODULES = (
 # If this test fails: do the same parameters and seed still give the same run, bit for bit? If so,
 # put the new hash here. (Of learner.cpp, a digest in test_native.py tells.) If not, raise
 # TRAINING_VERSION in params.py too: stored runs become stale.
-EXPECTED = (3, "7c84e452160bbeb1bc61c740c39db37f4a42d74a79ff0b9da67c887aa3f514a5")
+EXPECTED = (3, "3acf129f37adc647c817944df24820970fd04714fc30805898e6c3fe714cd5a9")
 BLOCKS = {tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT}
 
 

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor, nn
+from torch.nn.grad import conv2d_input
 
 from atari_dqn.agents import Learner
 from atari_dqn.envs import SIZE
@@ -107,7 +108,7 @@ class _Convolve(torch.autograd.Function):
         to_weight = (outputs.T @ patches).unflatten(1, (side, side, -1)).permute(0, 3, 1, 2)
         to_x = None
         if ctx.needs_input_grad[0]:
-            to_x = nn.grad.conv2d_input(x.shape, weight, gradient, stride)
+            to_x = conv2d_input(x.shape, weight, gradient, stride)
         return to_x, to_weight, outputs.sum(0), None
 
 
@@ -124,7 +125,7 @@ class GraphLearner(Learner):
         torch.backends.cudnn.allow_tf32 = False  # it keeps 10 of a product's 23 bits
         torch.backends.cudnn.deterministic = True  # a run can be repeated
         super().__init__(*given)
-        for layer in self.online.convolutions:
+        for layer in self.online.modules():
             if isinstance(layer, nn.Conv2d):
                 layer.__class__ = _Convolution
         self.acting: _Graph | None = None
@@ -139,7 +140,7 @@ class GraphLearner(Learner):
         return self.acting(torch.from_numpy(observations)).cpu().numpy()
 
     def learn(self, batch: GPUBatch) -> Tensor:  # type: ignore[override]
-        """Returns loss and Q(s_tm1, a_tm1) as a tensor [2] of the GPU's, which is not waited for."""
+        """Returns loss and Q(s_tm1, a_tm1) as a tensor [2] on the GPU, which is not waited for."""
         inputs = [torch.from_numpy(array) for array in vars(batch.drawn).values()]
         if self.learning is None:
             self.learning = self._recorded(batch.images, inputs)
