@@ -60,7 +60,10 @@ def store(results, experiment, agent, scores, seed=1, variation="", epsilon=0.22
     status = {"state": state, "episodes_done": len(scores), "episodes": run.params.episodes}
     (run.folder / "status.json").write_text(json.dumps(status))
     known = {"training_version": TRAINING_VERSION, "identity": run.params.identity()}
-    known |= {"sessions": [{"commit": "0" * 40, "processor": "a processor"}], "resumes": 0}
+    known |= {
+        "sessions": [{"commit": "0" * 40, "processor": "a processor", "device": "cpu"}],
+        "resumes": 0,
+    }
     (run.folder / "provenance.json").write_text(json.dumps(known | provenance))
     return run
 

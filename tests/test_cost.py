@@ -34,7 +34,7 @@ def test_memory_is_the_most_of_any_stretch_of_training(tmp_path):
 
 
 def test_hours_are_summed_over_all_stored_runs(tmp_path, shown):
-    sessions = [{"peak_memory_megabytes": 1500.0}]
+    sessions = [{"peak_memory_megabytes": 1500.0, "device": "cpu"}]
     store(tmp_path, "boxing_final", DQN, np.zeros(3000), sessions=sessions)
     store(tmp_path, "boxing_final", DOUBLE, np.zeros(250))
     store(tmp_path, "boxing_sensitivity", DUELING, np.zeros(100), variation="raw rewards")
@@ -48,19 +48,25 @@ def test_hours_are_summed_over_all_stored_runs(tmp_path, shown):
     cost.show_hours(study(tmp_path))
     told = [4, 103.5, 1.5, *pace, 7000, 70.0, 20.5]
     assert numbers(shown.texts[-1]) == told, "and the source report's"
+    sessions = [{"processor": "any", "device": "cuda", "commit": "a" * 40}]
+    store(tmp_path, "breakout_final", DQN, np.zeros(3000), sessions=sessions)
+    cost.show_hours(study(tmp_path))
+    assert numbers(shown.texts[-1]) == told, "a GPU's hours are not those of a core"
+    assert "that saw no GPU" in shown.texts[-1]
 
 
 def test_every_stored_run_has_a_row_with_its_state_games_steps_hours_and_origin(tmp_path):
-    stretch = {"processor": "slow", "commit": "a" * 40}
-    sessions = [stretch, stretch, {"processor": "fast", "commit": "b" * 40 + "+"}]
+    stretch = {"processor": "slow", "device": "cpu", "commit": "a" * 40}
+    sessions = [stretch, stretch, {"processor": "fast", "device": "cuda", "commit": "b" * 40 + "+"}]
     store(tmp_path, "boxing_final", DOUBLE, np.zeros(3000), sessions=sessions, resumes=2)
     run = store(tmp_path, "boxing_sensitivity", DUELING, np.zeros(150), variation="raw rewards")
     first, second = analysis.run_table(study(tmp_path).runs).to_dict("records")
     assert first["hours"] == pytest.approx(30.0)
     assert second["hours"] == pytest.approx(1.5)
-    said = ("experiment", "agent", "seed", "state", "games", "agent steps", "resumes", "processor")
+    said = ("experiment", "agent", "seed", "state", "games", "agent steps", "resumes", "trained on")
     assert [first[key] for key in said] == [
-        *("`boxing_final`", "Double DQN", 1, "complete", "3,000", "7,500,000", 2, "fast")
+        *("`boxing_final`", "Double DQN", 1, "complete", "3,000", "7,500,000", 2),
+        "slow, then GPU beside fast",
     ]
     assert [second[key] for key in said] == [
         *("`boxing_sensitivity`: raw rewards", "Dueling Double DQN", 1, "unfinished", "150"),
@@ -200,8 +206,8 @@ def test_the_speed_on_a_gpu_is_that_of_the_slowest_and_the_fastest_run(folder, s
     assert not shown.texts
     for agent, steps in ((DQN, 90_000), (DOUBLE, 60_000)):
         run = {"agent_steps": [10, steps], "seconds": [5.0, 60.0]}
-        pd.DataFrame(run).to_csv(folder / f"gpu_breakout_{agent}.csv", index=False)
+        pd.DataFrame(run).to_csv(folder / f"gpu_any_{agent}.csv", index=False)
     machine = {"gpu": "a card", "cores": 16, "emulator_processes": 3}
     (folder / "gpu.json").write_text(json.dumps(machine))
     cost.show_gpu()
-    assert numbers(shown.texts[0])[:5] == [16, 2, 3, 1000, 1500]
+    assert numbers(shown.texts[0])[:7] == [16, 2, 3, 1000, 1500, 2500, 1]

@@ -372,3 +372,13 @@ def test_long_names_of_curves_stay_within_the_figure():
         figure.draw_without_rendering()
     right = figure.axes[0].get_legend().get_window_extent().x1
     assert right <= figure.bbox.x1
+
+
+def test_no_curve_is_drawn_against_hours_of_which_some_are_a_gpus(tmp_path, shown):
+    beside = [{"processor": "any", "device": "cuda", "commit": "a" * 40}]
+    store(tmp_path, "boxing_final", DQN, np.zeros(150))
+    store(tmp_path, "boxing_final", DOUBLE, np.zeros(150), sessions=beside)
+    results.show_curves(study(tmp_path)["boxing_final"])
+    units = [axes.get_xlabel() for axes in shown.figures["fig-boxing-final-curves"].axes]
+    assert units == ["training games", "million frames"]
+    assert "processor" not in shown.captions["fig-boxing-final-curves"]

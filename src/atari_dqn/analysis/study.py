@@ -105,6 +105,11 @@ class Section:
         return [run for run in self.runs if run.state() not in (MISSING, STALE)]
 
     @cached_property
+    def on_gpu(self) -> bool:
+        """Whether a GPU trained any game of its runs."""
+        return any(on_gpu(run) for run in self.usable)
+
+    @cached_property
     def episodes(self) -> pd.DataFrame:
         """A row per training game: `training.Episode`, agent, seed, variation, and the seconds so
         far by the clock and of processor time."""
@@ -274,6 +279,20 @@ def peak_megabytes(run: Run) -> float:
     return max(session.get("peak_memory_megabytes", 0.0) for session in sessions)
 
 
+def on_gpu(run: Run) -> bool:
+    """Whether a GPU trained any of its games, so that its hours are not those of one core."""
+    return any(session["device"] != "cpu" for session in run.provenance()["sessions"])
+
+
+def _machines(sessions: list[dict[str, Any]]) -> str:
+    """What trained a run, one after the other."""
+    names = [
+        ("" if session["device"] == "cpu" else "GPU beside ") + session["processor"]
+        for session in sessions
+    ]
+    return ", then ".join(dict.fromkeys(names))
+
+
 def _last(run: Run, file: str, column: str) -> float:
     table = read_table([run], file)
     return 0.0 if table.empty else float(table[column].iloc[-1])
@@ -305,7 +324,6 @@ def run_table(runs: list[Run]) -> pd.DataFrame:
         if state == MISSING:
             continue
         stored = run.provenance()
-        last = stored["sessions"][-1]
         commits = [_short(session["commit"]) for session in stored["sessions"]]
         training = state in (RUNNING, INTERRUPTED)
         rows.append(
@@ -318,13 +336,13 @@ def run_table(runs: list[Run]) -> pd.DataFrame:
                 "agent steps": f"{_last(run, 'episodes.csv', 'agent_steps'):,.0f}",
                 "hours": hours(run),
                 "resumes": stored["resumes"],
-                "processor": last["processor"],
+                "trained on": _machines(stored["sessions"]),
                 "commits": ", ".join(dict.fromkeys(commits)),
                 "hash": f"`{stored['identity'][:8]}`",
             }
         )
     columns = ["experiment", "agent", "seed", "state", "games", "agent steps", "hours", "resumes"]
-    return pd.DataFrame(rows, columns=[*columns, "processor", "commits", "hash"])
+    return pd.DataFrame(rows, columns=[*columns, "trained on", "commits", "hash"])
 
 
 def _short(commit: str) -> str:

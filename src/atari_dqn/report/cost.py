@@ -8,7 +8,7 @@ from matplotlib import pyplot as plt
 from matplotlib.patheffects import withStroke
 
 from atari_dqn import params
-from atari_dqn.analysis.study import TITLES, Study, data, hours, peak_megabytes
+from atari_dqn.analysis.study import TITLES, Study, data, hours, on_gpu, peak_megabytes
 from atari_dqn.report import plots
 from atari_dqn.report.outputs import (
     show_absent,
@@ -122,23 +122,21 @@ def _gain_of_cores(ours: pd.DataFrame, cores: int) -> str:
 
 
 def show_gpu() -> None:
-    """The speed of runs that were tried on a GPU."""
-    found = sorted((project_root() / FOLDER).glob("gpu_breakout_*.csv"))
+    """The speed of runs that began on a GPU."""
+    found = sorted((project_root() / FOLDER).glob("gpu_*.csv"))
     if not found:
         return
     machine = json.loads((project_root() / FOLDER / "gpu.json").read_text())
-    speeds, games = [], []
-    for path in found:
-        run = pd.read_csv(path)
-        speeds.append(run.agent_steps.iloc[-1] / run.seconds.iloc[-1])
-        games.append(len(run))
+    runs = [pd.read_csv(path).iloc[-1] for path in found]  # as of their last games there
+    speeds = [run.agent_steps / run.seconds for run in runs]
     show_text(
-        f"On an {machine['gpu']}, with {machine['cores']} processor cores, {len(found)} runs of "
-        "Breakout's final settings were tried side by side, "
-        f"{machine['emulator_processes']} emulator processes each: they made "
-        f"{min(speeds):,.0f} to {max(speeds):,.0f} agent steps per second each, until the time on "
-        f"that machine was over after {min(games):,} to {max(games):,} games. No other figure of "
-        "this report is from them."
+        f"On an {machine['gpu']}, with {machine['cores']} processor cores, {len(runs)} runs were "
+        f"begun side by side, {machine['emulator_processes']} emulator processes each: they made "
+        f"{min(speeds):,.0f} to {max(speeds):,.0f} agent steps per second each, together "
+        f"{sum(speeds):,.0f}, until the time on that machine was over after "
+        f"{min(run.seconds for run in runs) / 60:.0f} minutes. They went on from there on a "
+        "processor core each (@tbl-provenance), with the images of their replay memories played "
+        "again from the records of their games."
     )
 
 
@@ -230,18 +228,19 @@ def show_whole_run() -> None:
 
 def show_hours(study: Study) -> None:
     """Hours by the clock so far, one core each, and beside the source report's early run."""
-    stored = [run for run in study.runs if run.state() != MISSING]
+    every = [run for run in study.runs if run.state() != MISSING]
+    stored = [run for run in every if not on_gpu(run)]
     spent = sum(hours(run) for run in stored)
     early = study["breakout_early"]
-    text = f"The {len(stored)} stored runs took {spent:,.1f} wall-clock hours, one core each, "
-    text += "sometimes with other load"
+    text = f"The {len(stored)} stored runs {'that saw no GPU ' * (every != stored)}took "
+    text += f"{spent:,.1f} wall-clock hours, one core each, sometimes with other load"
     if peak := max((peak_megabytes(run) for run in stored), default=0):
         text += f", and used up to {peak / 1000:.1f} GB of memory"
     text += "."
     last = [
         section.episodes.groupby(["variation", "agent", "seed"]).tail(1)
         for section in study.sections.values()
-        if not section.episodes.empty
+        if not section.episodes.empty and not section.on_gpu
     ]
     if last:
         total = pd.concat(last)[["agent_steps", "seconds", "cpu_seconds"]].sum()

@@ -111,21 +111,25 @@ def learning_curves(
     published: dict[str, Any] | None,
     source: pd.DataFrame,
 ) -> Figure:
-    """Mean raw score of the last `window` episodes against episodes, frames and processor time.
+    """Mean raw score of the last `window` episodes against episodes, frames and, where `episodes`
+    has it, processor time.
 
     Every seed is a line. Where there are several, their mean against episodes is a bold one, with
     a 95% interval over seeds from `SEEDS_OF_A_BAND` on.
 
-    `episodes` holds columns episode, frames, cpu_seconds, score, agent and seed. `source` are the
-    source report's scores, hollow, and with them ours over the same episodes, filled: columns
-    agent, episode, score and window, the episodes that a score is the mean of. `published` (scores
-    by agent at `frames`, million) are grey marks; None leaves them and `references` out. Both are
-    drawn as far as the curves reach and a little further.
+    `episodes` holds columns episode, frames, score, agent, seed and, if processor time is wanted,
+    cpu_seconds. `source` are the source report's scores, hollow, and with them ours over the same
+    episodes, filled: columns agent, episode, score and window, the episodes that a score is the
+    mean of. `published` (scores by agent at `frames`, million) are grey marks; None leaves them and
+    `references` out. Both are drawn as far as the curves reach and a little further.
     """
     curves = smoothed(episodes, window)
-    curves = curves.assign(frames=curves.frames / 1e6, hours=curves.cpu_seconds / 3600)
+    curves = curves.assign(frames=curves.frames / 1e6)
+    timed = "cpu_seconds" in curves
+    if timed:
+        curves = curves.assign(hours=curves.cpu_seconds / 3600)
     figure, panels = plt.subplot_mosaic(
-        [["episode", "episode"], ["frames", "hours"]],
+        [["episode", "episode"], ["frames", "hours" if timed else "frames"]],
         figsize=(WIDTH, 5.6),
         gridspec_kw={"height_ratios": [2.3, 1]},
     )
@@ -147,7 +151,8 @@ def learning_curves(
         handles, titles, loc="lower left", bbox_to_anchor=(-0.01, 1), ncols=4, fontsize="medium"
     )
     main.set(xlabel="training games", ylabel=f"score, mean of {window} games")
-    panels["hours"].set(xlabel="hours of processor time", ylabel="")
+    if timed:
+        panels["hours"].set(xlabel="hours of processor time", ylabel="")
     if published:
         _published_points(panels["frames"], published, 1.3 * float(curves.frames.max()))
     panels["frames"].set(xlabel="million frames", ylabel="score")

@@ -37,12 +37,13 @@ def show_curves(section: Section) -> None:
         )
         return
     source = source_points(section)
-    figure = plots.learning_curves(
-        section.episodes, facts, window, published_points(section), source
-    )
+    # a GPU's hours are not those of one core
+    episodes = section.episodes.drop(columns=["cpu_seconds"] * section.on_gpu)
+    figure = plots.learning_curves(episodes, facts, window, published_points(section), source)
     caption = [
-        f"{section.title}: raw score while training, with "
-        "exploration, against games, frames and processor time (on one core); each point is "
+        f"{section.title}: raw score while training, with exploration, against games"
+        f"{' and frames' if section.on_gpu else ', frames and processor time (on one core)'}; "
+        "each point is "
         f"the mean of the last {window} games ({section.counted()}). Without sticky actions."
     ]
     seeds = section.episodes.groupby("agent").seed.nunique().max()
@@ -66,7 +67,7 @@ def show_curves(section: Section) -> None:
         label=label,
         caption=" ".join(caption),
         alt=f"Learning curves of the agents in {facts.title}: mean score against training "
-        "games, frames and processor time.",
+        f"games{' and frames' if section.on_gpu else ', frames and processor time'}.",
         data=section.origin + "episodes.csv and timing.csv",
     )
 
