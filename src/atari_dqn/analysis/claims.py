@@ -27,6 +27,7 @@ from atari_dqn.analysis.verdicts import (
     compare_training,
     human_level,
     improves,
+    improves_greedily,
     negated,
     overestimation,
     runs_finished,
@@ -295,11 +296,11 @@ FINDINGS = (
         "sec-sensitivity",
     ),
     Claim(
-        "With the early Boxing settings, DQN still improves: its last 500 games, which have "
-        "fewer random actions, score more than its first 500, by any amount",
+        "With the early Boxing settings, DQN still improves: what it scores greedily during its "
+        "last 500 games is more than during its first 500, by any amount",
         "3.3.1",
         ("boxing_early",),
-        lambda study: improves(study, "boxing_early", DQN, until=500, episodes=500),
+        lambda study: improves_greedily(study, "boxing_early", DQN, until=500, episodes=500),
         "The early Boxing agent shows a small improvement",
         "sec-boxing-early",
     ),

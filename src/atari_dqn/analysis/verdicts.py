@@ -305,6 +305,25 @@ def improves(study: Study, experiment: str, agent: str, until: int, episodes: in
     return Verdict(MORE(low, high), said, len(scores))
 
 
+def improves_greedily(
+    study: Study, experiment: str, agent: str, until: int, episodes: int
+) -> Verdict:
+    """An agent's checks of greedy play in the last `episodes` of its training score more than those
+    in as many up to episode `until`: what it has learned, and not that it explores less."""
+    section, last = study[experiment], study[experiment].params.episodes
+    checks = _checks(section.values, section, agent, last, "score")
+    after = np.array(checks.columns)
+    late = checks.loc[:, after > last - episodes].to_numpy()
+    before = checks.loc[:, (after > until - episodes) & (after <= until)].to_numpy()
+    if min(late.shape[1], before.shape[1]) < 3:
+        return _not_yet(section)
+    low, high = _difference(late, before)
+    said = f"{params.title(agent)} in greedy games over the last {episodes} of {last:,} training "
+    said += f"games, and up to {until:,}: {late.mean():.1f} against {before.mean():.1f}, "
+    said += f"difference {low:.1f} to {high:.1f}"
+    return Verdict(MORE(low, high), said, len(late))
+
+
 def compare_evaluations(study: Study, first: str, second: str) -> list[Verdict]:
     """That an agent's greedy episodes after training in the first experiment score more than those
     after training in the second: a verdict for every agent."""
@@ -491,7 +510,7 @@ def compare_steadiness(
     """The curve of one (experiment, agent) is smoother than another's, up to episode `until`: how
     far each block of episodes is from the middle of its neighbours (points, squared), less what the
     luck of its episodes explains."""
-    sections, rough = (study[steady[0]], study[unsteady[0]]), []
+    sections, rough, levels = (study[steady[0]], study[unsteady[0]]), [], []
     for section, (_, agent) in zip(sections, (steady, unsteady), strict=True):
         scores = section.scores(agent, 1, until)
         if not _enough(section, scores) or scores.shape[1] < 5 * BLOCK:
@@ -501,12 +520,14 @@ def compare_steadiness(
         luck = whole.var(axis=2, ddof=1).mean(axis=1, keepdims=True) / BLOCK  # of a block's mean
         bends = means[:, 1:-1] - (means[:, :-2] + means[:, 2:]) / 2
         rough.append(bends**2 - 1.5 * luck)
+        levels.append(f"{scores.mean():.1f}")
     low, high = _difference(rough[1], rough[0])
     roots = [float(np.sqrt(max(found.mean(), 0))) for found in rough]
     said = _against(sections, (steady[1], unsteady[1]), roots)
     return Verdict(
         MORE(low, high),
-        f"roughness, points: {said}; difference of their squares {low:.1f} to {high:.1f}",
+        f"roughness, points: {said}; difference of their squares {low:.1f} to {high:.1f} (mean "
+        f"scores {' and '.join(levels)})",
         min(map(len, rough)),
     )
 
