@@ -205,7 +205,14 @@ def test_a_section_is_executed_again_only_if_something_of_its_own_changed(built)
     row_of.write_text(header + ",".join(cells) + "".join(rest))
     snapshot = build._snapshot(results)
     stale = {path.stem: path for path, _ in build._stale("smoke", results, snapshot)}
-    on_all_runs = {"00_summary", "13_evaluation", "14_discussion", "16_speed", "18_runs"}
+    on_all_runs = {
+        "00_summary",
+        "13_evaluation",
+        "14_discussion",
+        "16_speed",
+        "17_dataset",
+        "19_runs",
+    }
     assert set(stale) == {"05_boxing_expert"} | on_all_runs
     execution.execute(stale["05_boxing_expert"], executed.parent, "smoke", snapshot)
     assert "857.00" in executed.read_text()

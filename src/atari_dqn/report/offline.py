@@ -1,0 +1,90 @@
+"""A run's records as data: what they hold, how fast they are played again, and what an agent learns
+that only watches them (`benchmarks/records.py`)."""
+
+import json
+
+import numpy as np
+import pandas as pd
+from matplotlib import pyplot as plt
+
+from atari_dqn import params
+from atari_dqn.analysis.statistics import student_interval
+from atari_dqn.analysis.study import Section, Study
+from atari_dqn.report import plots
+from atari_dqn.report.outputs import show_absent, show_figure, show_text
+from atari_dqn.runs import records
+from atari_dqn.runs.files import project_root
+from atari_dqn.runs.run import MISSING
+
+FOLDER = "results/benchmarks"
+
+
+def show_size(study: Study) -> None:
+    """How much play is stored, and in how little room."""
+    runs = [run for run in study.runs if run.state() != MISSING]
+    tables = [section.episodes for section in study.sections.values() if len(section.episodes)]
+    if not tables:
+        return
+    played = pd.concat(tables)
+    frames = played.groupby(["variation", "agent", "seed", "experiment"]).frames.max().sum()
+    size = sum((run.folder / records.FILE).stat().st_size for run in runs)
+    show_text(
+        f"The {len(runs)} stored runs hold {len(played):,} training games of "
+        f"{frames / 1e6:,.1f} million frames, {frames / 3600 / 60:,.0f} hours of television at 60 "
+        f"frames per second, and with them every greedy game, in {size / 1e6:.1f} MB: "
+        f"{8 * size / (frames / 4):.1f} bits per agent step."
+    )
+
+
+def show_speed() -> None:
+    """How fast recorded games are played again."""
+    path = project_root() / FOLDER / "records.json"
+    if not path.exists():
+        return
+    measured = json.loads(path.read_text())
+    steps = measured["agent_steps_per_game"]
+    with_images, alone = (measured[name] * steps for name in ("with_images", "emulator_alone"))
+    show_text(
+        f"One core ({measured['processor']}) plays {with_images:,.0f} agent steps per second again "
+        f"with the images that the agent saw, where the emulator alone makes {alone:,.0f}."
+    )
+
+
+def show_watching(section: Section) -> None:
+    """Greedy scores of an agent that learns from another one's games, without playing."""
+    label, folder = "fig-watching", project_root() / FOLDER
+    path = folder / "watching.csv"
+    if not path.exists():
+        show_absent(label, "`python benchmarks/records.py RUN` has not been run.")
+        return
+    measured = json.loads((folder / "records.json").read_text())
+    games = pd.read_csv(path)
+    checks = games.groupby("update").score
+    low, high = np.array([student_interval(scores.to_numpy(float)) for _, scores in checks]).T
+    agent = params.title(measured["agent"])
+    look = plots.STYLES[measured["agent"]]
+    figure, axes = plt.subplots(figsize=(plots.WIDTH, 2.8))
+    plots.references(axes, section.facts, labelled=True)
+    updates = checks.mean().index / 1000
+    axes.plot(updates, checks.mean(), color=look.colour, ls=look.line, lw=2)
+    axes.fill_between(updates, low, high, color=look.colour, alpha=0.15, lw=0)
+    axes.set(xlabel="thousand updates", ylabel="score, greedy", xlim=(0, updates.max()))
+    show_figure(
+        figure,
+        label=label,
+        caption=f"A {agent} from new random weights that learns from the newest "
+        f"{measured['transitions']:,} transitions of the {agent} of "
+        f"`{measured['experiment']}` and never plays itself: mean of "
+        f"{len(games) // games['update'].nunique()} greedy games, with its 95% interval over them. "
+        "Dotted: a human tester and random play.",
+        alt="The score of an agent that only watches, against its updates.",
+        data="benchmarks/watching.csv",
+    )
+    newest = games[games["update"] == games["update"].max()].score
+    source = section.scores(measured["agent"], 1, section.params.episodes)[:, -100:]
+    show_text(
+        f"After {games['update'].max():,} updates it scores {newest.mean():.1f} (95% interval "
+        f"{low[-1]:.1f} to {high[-1]:.1f}); the games that it watched, mostly the last "
+        f"{measured['transitions'] // 1000 * 1000:,} agent steps of training, score about "
+        f"{source.mean():.1f}."
+    )
