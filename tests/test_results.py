@@ -243,6 +243,25 @@ def test_play_styles_are_rows_of_the_same_training_the_lowest_discount_first(tmp
     assert "per minute" in shown.captions["tbl-playstyle"]
 
 
+def test_the_styles_along_training_have_a_panel_per_measure_and_a_line_per_agent(tmp_path, shown):
+    for agent, base in ((DOUBLE, 1.0), (DQN, 2.0)):
+        run = store(tmp_path, "boxing_final", agent, np.zeros(300))
+        curve = base * np.array([1.0, 2.0, 3.0])
+        how = {"distance": 10 * curve, "reach": curve / 10, "punches": curve}
+        style(run, np.zeros(3), **how, conceded=2 * curve)
+    results.show_learning_style(study(tmp_path)["boxing_final"])
+    panels = shown.figures["fig-boxing-final-style"].axes
+    for axes, factor in zip(panels, (10, 10, 0.5, 1), strict=True):  # an episode lasts two minutes
+        lines = {line.get_label(): line.get_xydata() for line in axes.get_lines()}
+        assert list(lines) == ["DQN", "Double DQN"]
+        for name, base in (("DQN", 2.0), ("Double DQN", 1.0)):
+            assert lines[name][:, 0].tolist() == [100, 200, 300]
+            assert lines[name][:, 1] == pytest.approx(factor * base * np.array([1.0, 2.0, 3.0]))
+    titles = [axes.get_title(loc="left") for axes in panels]
+    words = ("distance", "reach", "punches", "conceded")
+    assert all(word in title for word, title in zip(words, titles, strict=True))
+
+
 def test_an_empty_place_gives_a_reason_where_no_badge_does(tmp_path, shown):
     store(tmp_path, "boxing_final", DQN, np.zeros(3000))
     stored = study(tmp_path)

@@ -70,7 +70,8 @@ def _build(profile: str, folder: Path) -> Path:
         for line in plan.known(profile, [], folder)[1]:  # of somebody's own, or the sections fail
             warnings.warn(f"{line}; left out", stacklevel=2)
     for run in plan.planned(profile, list(styles.EXPERIMENTS), folder)[0]:
-        if run.agent == styles.AGENT and (run.folder / records.FILE).exists():
+        compared = run.agent == styles.AGENT or run.params.experiment == styles.FINAL
+        if compared and (run.folder / records.FILE).exists():
             styles.measure(run)
     for run in plan.planned(profile, list(robustness.EXPERIMENTS), folder)[0]:
         robustness.measure(run)

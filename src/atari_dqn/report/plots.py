@@ -366,6 +366,36 @@ def value_errors(values: pd.DataFrame) -> Figure:
     return figure
 
 
+STYLE_PANELS = {
+    "distance": "distance of the boxers (pixels)",
+    "reach": "time within reach (%)",
+    "punches_per_minute": "punches thrown per minute",
+    "conceded_per_minute": "points conceded per minute",
+}
+
+
+def styles_along(styles: pd.DataFrame) -> Figure:
+    """How agents box against training episodes, a panel per measure: `Section.styles`."""
+    figure, panels = plt.subplots(2, 2, sharex=True, figsize=(WIDTH, 4.6))
+    percent = styles.assign(reach=100 * styles.reach)
+    for axes, (column, title) in zip(panels.flat, STYLE_PANELS.items(), strict=True):
+        for agent in agents_of(styles):
+            own = percent[percent.agent == agent].groupby("episode")[column].mean()
+            name, (colour, line) = params.title(agent), STYLES[agent]
+            (drawn,) = axes.plot(own.index, own, color=colour, ls=line, lw=1.6)
+            named(drawn, name, value=name)
+        axes.set_title(title, fontsize="medium", loc="left")
+        axes.set(ylim=(0, None), xlim=(0, None))
+    for axes in panels[1]:
+        axes.set_xlabel("training games")
+    titles = [params.title(agent) for agent in agents_of(styles)]
+    figure.legend(
+        panels.flat[0].get_lines(), titles, loc="upper left", ncols=3, bbox_to_anchor=(0.06, 1.0)
+    )
+    figure.tight_layout(rect=(0, 0, 1, 0.94))
+    return figure
+
+
 def score_distributions(evaluations: pd.DataFrame, facts: GameFacts | None) -> Figure:
     """The scores of the evaluation episodes, a row of dots per agent, with each run's mean and the
     95% interval of it over its episodes; `facts` None leaves `references` out."""

@@ -350,6 +350,26 @@ def show_variations(section: Section, reference: Section, agent: str) -> None:
 OPENINGS = (500, 100)  # training games, and agent steps from their start, that are compared
 
 
+def show_learning_style(section: Section) -> None:
+    """How the agents box along their training."""
+    label = f"fig-{section.slug}-style"
+    if section.styles.empty:
+        show_placeholders(label)
+        return
+    show_figure(
+        plots.styles_along(section.styles),
+        label=label,
+        caption=f"How the agents box along their training, in the {VALUE_GAMES} greedy games after "
+        f"every {VALUES_PERIOD} training games: means, of what the console's memory says.",
+        alt="Four panels against training games: distance of the boxers, share of the time within "
+        "reach, punches thrown per minute, and points conceded per minute; a line per agent.",
+        data=f"results/styles/{section.params.experiment}/",
+    )
+
+
+OPENINGS = (500, 100)  # training games, and agent steps from their start, that are compared
+
+
 def show_robustness(section: Section) -> None:
     """Finished agents under conditions that they have never met, beside those that they have."""
     label = f"tbl-{section.slug}-robustness"

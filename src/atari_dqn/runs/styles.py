@@ -14,9 +14,11 @@ from atari_dqn.runs import records
 from atari_dqn.runs.files import write_atomically
 from atari_dqn.runs.run import Run
 
-# The experiments whose styles are compared, and the agent that all of them train
+# The experiments whose styles are compared, and the agent that all of them train; of the final one
+# every agent's style is measured
 EXPERIMENTS = ("boxing_low_gamma", "boxing_final", "boxing_high_gamma")
 AGENT = "dueling_double_dqn"
+FINAL = "boxing_final"
 ARMS = (55, 57)  # memory cells: how far each of the agent's arms is out
 REACH = 30  # pixels to the side, and up or down, beyond which no punch lands (results/benchmarks/
 # punches.csv)
