@@ -56,10 +56,20 @@ def test_what_is_stored_is_offered_and_what_was_asked_for_is_opened(panel):
     assert (panel.number.value, panel.number.max) == (3, 3)
     assert panel.facts.value.startswith("training game 3: step 0 of 49; best action ")
     assert options(panel.other) == ["Dueling Double DQN (small, seed 1)", "DQN (small, seed 2)"]
+    assert panel.count.value == "of 3: training game 3"
     panel.run[0].value = "other: +0123abcd"
     assert [choice.value for choice in panel.run] == ["other: +0123abcd", "dqn", 1]
+
+
+def test_what_a_game_is_played_on_with_is_of_the_opened_one_whatever_is_chosen(panel):
+    choices = (panel.difficulty, panel.clock, panel.other)
+    before = [options(choice) for choice in choices]
+    panel.run[0].value = "other: +0123abcd"
+    assert [options(choice) for choice in choices] == before
+    panel.open.click()
     assert options(panel.clock) == [UNCHANGED], "a game without one"
     assert options(panel.difficulty) == [UNCHANGED, "0", "1"]
+    assert options(panel.other) == ["DQN (other: +0123abcd, seed 1)"]
 
 
 def test_the_slider_shows_the_recorded_steps(panel, results):
@@ -86,9 +96,12 @@ def test_the_slider_shows_the_recorded_steps(panel, results):
 
 def test_evaluation_games_are_played_under_their_own_conditions(panel):
     panel.kind.value = "evaluation"
-    panel.number.value = 1
     panel.open.click()
-    assert "evaluation game 0 after 3 training games (difficulty 0, sticky" in panel.facts.value
+    said = "evaluation game 1 after 3 training games (difficulty 0, sticky actions 0"
+    assert said in panel.facts.value, "the first that is played as the agent was trained"
+    assert said in panel.count.value
+    panel.number.value = panel.number.max
+    assert said not in panel.count.value, "a game of the last condition"
     assert panel.message.value == ""
 
 
@@ -110,7 +123,8 @@ def test_a_new_game_is_the_one_that_evaluation_plays(panel):
     game = panel.games[0]
     assert game.ended
     assert all(action == game.best(step) for step, action in enumerate(game.actions))
-    assert panel.facts.value.startswith("new game 4: step 0 of 49;")
+    assert panel.facts.value.startswith("new game 4: step 0 of 43;")
+    assert game.record == module.new_record(panel.params, 3)
 
 
 def test_another_agent_plays_on_beside(panel):
@@ -133,6 +147,8 @@ def test_the_agent_plays_on_with_what_was_changed(panel):
     assert game is not recorded
     assert game.ended
     assert game.changes == {10: {"difficulty": 3}}
+    said = "training game 3, played on by the agent from step 10 with difficulty 3: step"
+    assert panel.facts.value.startswith(said)
     assert game.actions[10:] == [game.best(step) for step in range(10, game.last)]
     assert panel.moment.value == game.last, "the picture goes along"
     assert panel.stop.disabled
@@ -158,10 +174,17 @@ def test_a_person_plays_on_with_the_keys_even_where_they_are_only_tapped(panel):
     asyncio.run(pressed(panel, panel.take_over))
     played = [names[action] for action in panel.games[0].actions[5:]]
     assert played == ["LEFTFIRE", *["LEFT"] * (len(played) - 1)]
-    panel.key({"type": "keyup", "code": "ArrowLeft"})
     panel.moment.value = 5
     asyncio.run(pressed(panel, panel.take_over))
     assert {names[action] for action in panel.games[0].actions[5:]} == {"NOOP"}
+
+
+def test_a_key_held_as_the_mouse_leaves_the_picture_is_let_go(panel):
+    panel.moment.value = 5
+    panel.key({"type": "keydown", "code": "ArrowLeft"})
+    asyncio.run(pressed(panel, panel.take_over, lambda: panel.key({"type": "mouseleave"})))
+    played = [panel.games[0].names[action] for action in panel.games[0].actions[5:]]
+    assert (played[0], played[-1]) == ("LEFT", "NOOP")
 
 
 def test_stopping_leaves_what_was_played(panel):

@@ -382,3 +382,18 @@ def test_no_curve_is_drawn_against_hours_of_which_some_are_a_gpus(tmp_path, show
     units = [axes.get_xlabel() for axes in shown.figures["fig-boxing-final-curves"].axes]
     assert units == ["training games", "million frames"]
     assert "processor" not in shown.captions["fig-boxing-final-curves"]
+
+
+def test_the_legend_of_three_agents_and_the_source_lies_within_the_figure(tmp_path, shown):
+    plots.style()
+    for agent in AGENTS:
+        store(tmp_path, "boxing_final", agent, np.zeros(600))
+    results.show_curves(Section("boxing_final", "full", str(tmp_path)))
+    figure = shown.figures["fig-boxing-final-curves"]
+    figure.canvas.draw()
+    main, *_ = figure.axes
+    legend = main.get_legend()
+    assert len(legend.get_texts()) == 5
+    frame, box = figure.bbox, legend.get_window_extent()
+    assert frame.x0 <= box.x0 < box.x1 <= frame.x1
+    assert main.get_window_extent().width > 0.8 * frame.width

@@ -89,7 +89,8 @@ class Live:
             said.append(f"mean score {_number(mean, '.1f')} (last {window})")
         if count >= wanted:
             games = len(params.conditions(self.run.params)) * self.run.params.evaluation_games
-            said.append(f"{max(0, self.evaluated)} of {games:,} games of the final evaluation")
+            played = min(max(0, self.evaluated), games)  # a run that continues is told once more
+            said.append(f"{played} of {games:,} games of the final evaluation")
             return ", ".join(said)
         since, before = self.first or (now, count)
         if count > before:
@@ -143,9 +144,16 @@ def _source(run: Run) -> pd.DataFrame:
     return results.source_points(section)
 
 
+def _begun(run: Run) -> None:
+    if not (run.folder / "model.safetensors").exists():
+        raise RunError(f"{run.name} was interrupted before its first game: train it first")
+
+
 def show_curve(run: Run) -> None:
     """A run's learning curve, beside the stored runs of its experiment, as far as it has come
-    itself, and the source report's scores."""
+    itself, and the source report's scores. Raises RunError, as the functions below, if the run has
+    no model yet."""
+    _begun(run)
     own = read_table([run], "episodes.csv")
     window, tables = _window(own), [own.assign(variation=OWN)]
     for name, rival in _rivals(run).items():
@@ -164,6 +172,7 @@ def show_curve(run: Run) -> None:
 
 def show_scores(run: Run) -> None:
     """What a run scores in the end, and what others do."""
+    _begun(run)
     rows = [_row(name, each) for name, each in {OWN: run, **_rivals(run)}.items()]
     source = _source(run)
     if len(source):
@@ -198,6 +207,7 @@ def _row(name: str, run: Run) -> dict[str, object]:
 
 def show_video(run: Run, seconds: int) -> None:
     """The first seconds of a greedy game by a run's newest model."""
+    _begun(run)
     games, path = max(models.in_folder(run.folder).items())
     network = models.load_model(path, run.params)
     title = f"{params.title(run.agent)}, {games:,} games"

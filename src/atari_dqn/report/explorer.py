@@ -135,6 +135,7 @@ class Explorer:
         self.agents = StoredAgents(profile, results)
         self.games: list[Playthrough] = []
         self.about = ""  # of the first game
+        self.opened: Key = ("", "", 0)  # of the first game
         self.task: asyncio.Task | None = None  # that plays on
         self.pressed: set[str] = set()
         self.tapped: set[str] = set()  # keys pressed since the last step, perhaps let go since
@@ -199,6 +200,7 @@ class Explorer:
         for level, choice in enumerate(self.run, 1):
             choice.observe(lambda change, level=level: self._offer(level), "value")
         self.kind.observe(lambda change: self._offer_numbers(), "value")
+        self.number.observe(lambda change: self._describe(), "value")
         self.open.on_click(lambda button: self.show_game())
         self.moment.observe(lambda change: self._draw(), "value")
         widgets.jslink((self.player, "value"), (self.moment, "value"))
@@ -208,7 +210,7 @@ class Explorer:
         self.compare.on_click(lambda button: self.play_beside())
         self.keys = Event(
             source=self.picture,
-            watched_events=["keydown", "keyup"],
+            watched_events=["keydown", "keyup", "mouseleave"],
             prevent_default_action=True,
         )
         self.keys.on_dom_event(self.key)
@@ -234,30 +236,51 @@ class Explorer:
         }
         kinds = [(name, kind) for name, kind in KINDS.items() if self.recorded[kind] or kind == NEW]
         _fill(self.kind, kinds)
-        facts = EpisodeInProgress(self.params).env.facts
+        self.filling = False
+        self._offer_numbers()
+
+    def _offer_to_play_on(self) -> None:
+        """Offers what the opened game can be played on with."""
+        facts = self.games[0].episode.env.facts
         unchanged: list[tuple[str, Any]] = [(UNCHANGED, UNCHANGED)]
         _fill(self.difficulty, unchanged + _same([*facts.difficulties]))
         _fill(self.sticky, unchanged + _same([0.0, 0.25]))
         left = [(f"{seconds} s left", seconds) for seconds in (10, 30, 60, 120)]
         _fill(self.clock, unchanged + (left if facts.clock_cells else []))
         others = [key for key in self.agents.folders if self._plays_the_same(key)]
-        others.sort(key=lambda key: key == self.key_chosen)  # itself last
+        others.sort(key=lambda key: key == self.opened)  # itself last
         names = [f"{params.title(agent)} ({name}, seed {seed})" for name, agent, seed in others]
         _fill(self.other, list(zip(names, others, strict=True)))
-        self.filling = False
-        self._offer_numbers()
 
     def _plays_the_same(self, key: Key) -> bool:
-        other = audit.stored_parameters(self.agents.folders[key])
+        other, ours = audit.stored_parameters(self.agents.folders[key]), self.games[0].params
         same = ("game", "frame_skip", "frame_stack")
-        return all(getattr(other, name) == getattr(self.params, name) for name in same)
+        return all(getattr(other, name) == getattr(ours, name) for name in same)
 
     def _offer_numbers(self) -> None:
+        """Offers the games of the chosen kind: first the newest one, or of those of the evaluation
+        the first that was played as the agent was trained."""
+        if self.filling:
+            return
+        recorded = self.recorded[self.kind.value]
+        self.number.max = len(recorded) or RECORDED_LIKE_NEW
+        self.number.value = len(recorded) or 1
+        for game in records.as_trained(self.params, recorded)[:1]:
+            self.number.value = recorded.index(game) + 1
+        self._describe()
+
+    def _describe(self) -> None:
+        """Says which game the chosen number is."""
         if not self.filling:
-            recorded = len(self.recorded[self.kind.value])
-            self.number.max = recorded or RECORDED_LIKE_NEW
-            self.number.value = recorded or 1  # the newest one
-            self.count.value = f"of {self.number.max:,}"
+            self.count.value = f"of {self.number.max:,}: {_said(self._heading())}"
+
+    def _heading(self) -> dict[str, Any]:
+        """Of the game that is chosen."""
+        kind, number = self.kind.value, self.number.value
+        if kind == NEW:
+            return {"kind": NEW, "game": number - 1}
+        heading, _ = self.recorded[kind][number - 1]
+        return heading
 
     @contextmanager
     def _busy(self, doing: str) -> Iterator[Callable[[float], None]]:
@@ -284,17 +307,19 @@ class Explorer:
         """Opens the game that is chosen."""
         key, trained, number = self.key_chosen, self.checkpoint.value, self.number.value
         with self._busy("opening") as progress:
-            parameters, heading = self.params, {"kind": NEW, "game": number}
-            record = new_record(parameters, number)
-            if self.kind.value != NEW:
-                heading, record = self.recorded[self.kind.value][number - 1]
+            parameters, heading = self.params, self._heading()
+            if self.kind.value == NEW:
+                record = new_record(parameters, heading["game"])
+            else:
+                _, record = self.recorded[self.kind.value][number - 1]
                 parameters = records.settings(parameters, heading)
             critic = self.agents.critic(key, trained)
             title = self._title(key, trained)
             game = Playthrough(critic, parameters, record, title, progress=progress)
             if self.kind.value == NEW:
                 self._play_out(game, progress)
-            self.games, self.about = [game], _said(heading)
+            self.games, self.about, self.opened = [game], _said(heading), key
+            self._offer_to_play_on()
             self._goto(0)
 
     @staticmethod
@@ -308,15 +333,19 @@ class Explorer:
             game.play(game.best(-1))
             progress(min(1.0, game.episode.env.frames / longest))
 
-    def branch(self, critic: Critic | None = None, title: str | None = None) -> Playthrough:
-        """The first game up to the step that is shown, with the settings that are chosen."""
+    @property
+    def changed(self) -> dict[str, Any]:
+        """The settings that are chosen to play on with."""
         chosen = {
             "difficulty": self.difficulty.value,
             "sticky_actions": self.sticky.value,
             "clock": self.clock.value,
         }
-        given = {name: value for name, value in chosen.items() if value != UNCHANGED}
-        return self.games[0].branch(self.now, critic, title, given)
+        return {name: value for name, value in chosen.items() if value != UNCHANGED}
+
+    def branch(self, critic: Critic | None = None, title: str | None = None) -> Playthrough:
+        """The first game up to the step that is shown, with the settings that are chosen."""
+        return self.games[0].branch(self.now, critic, title, self.changed)
 
     @property
     def now(self) -> int:
@@ -329,8 +358,9 @@ class Explorer:
         with self._busy("playing") as progress:
             trained = max(models.in_folder(self.agents.folders[key]))
             title = self._title(key, trained)
-            again = " again" if title == first.title else ""
-            other = self.branch(self.agents.critic(key, trained), title + again)
+            if title == first.title:  # the same agent, or one of another experiment or seed
+                title += " again" if key == self.opened else f" ({key[0]}, seed {key[2]})"
+            other = self.branch(self.agents.critic(key, trained), title)
             self._play_out(other, progress)
             self.games = [first, other]
             self._goto(now)
@@ -343,6 +373,11 @@ class Explorer:
         if game.ended:
             self.message.value = "the game is over: go back to an earlier step"
             return
+        who = "by you" if choose == self._persons_choice else "by the agent"
+        self.about += f", played on {who} from step {self.now:,}"
+        if self.changed:
+            settings = (f"{name.replace('_', ' ')} {value}" for name, value in self.changed.items())
+            self.about += f" with {', '.join(settings)}"
         self.games = [game]
         self.task = asyncio.get_running_loop().create_task(self.play_on(choose))
 
@@ -362,6 +397,8 @@ class Explorer:
                 await asyncio.sleep(max(0.001, 1 / float(game.recording().rate) - spent))
         finally:
             self.stop.disabled, self.message.value = True, ""
+            self.pressed.clear()
+            self.tapped.clear()
 
     def halt(self) -> None:
         """Ends playing on; what has been played stays."""
@@ -379,7 +416,11 @@ class Explorer:
         return action_of(held, game.names)
 
     def key(self, event: dict[str, Any]) -> None:
-        """A key has been pressed or let go."""
+        """A key has been pressed or let go, or the mouse has left the picture: then nobody hears
+        of keys that are let go."""
+        if event["type"] == "mouseleave":
+            self.pressed.clear()
+            return
         part = KEYS.get(event["code"])
         if part is None:
             return
@@ -429,9 +470,9 @@ def _said(heading: dict[str, Any]) -> str:
         number = heading["game"] % params.VALUE_GAMES + 1
         return f"greedy game {number} after {heading['episode']:,} training games"
     if kind == NEW:
-        return f"new game {heading['game']}"
+        return f"new game {heading['game'] + 1}"
     return (
-        f"evaluation game {heading['game']} after {heading['trained_games']:,} training games "
+        f"evaluation game {heading['game'] + 1} after {heading['trained_games']:,} training games "
         f"(difficulty {heading['difficulty']}, sticky actions {heading['sticky_actions']:g}, "
         f"random actions {heading['epsilon']:g})"
     )
@@ -465,7 +506,8 @@ class Curves:
     def draw(self) -> None:
         section, buffer = self.section, io.StringIO()
         wanted = [name for name, box in self.agents.items() if box.value]
-        episodes = section.episodes[section.episodes.agent.isin(wanted)]
+        episodes = results.timed_episodes(section)
+        episodes = episodes[episodes.agent.isin(wanted)]
         if episodes.empty:
             self.picture.value = "No agent is chosen."
             return

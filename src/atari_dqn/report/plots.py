@@ -148,7 +148,7 @@ def learning_curves(
         handles.append(Line2D([], [], ls="none", marker="o", color=SOFT, mfc=inside, mew=1.3))
         titles.append(title)
     main.legend(
-        handles, titles, loc="lower left", bbox_to_anchor=(-0.01, 1), ncols=4, fontsize="medium"
+        handles, titles, loc="lower left", bbox_to_anchor=(-0.01, 1), ncols=3, fontsize="medium"
     )
     main.set(xlabel="training games", ylabel=f"score, mean of {window} games")
     if timed:

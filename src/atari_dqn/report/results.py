@@ -37,8 +37,7 @@ def show_curves(section: Section) -> None:
         )
         return
     source = source_points(section)
-    # a GPU's hours are not those of one core
-    episodes = section.episodes.drop(columns=["cpu_seconds"] * section.on_gpu)
+    episodes = timed_episodes(section)
     figure = plots.learning_curves(episodes, facts, window, published_points(section), source)
     caption = [
         f"{section.title}: raw score while training, with exploration, against games"
@@ -70,6 +69,11 @@ def show_curves(section: Section) -> None:
         f"games{' and frames' if section.on_gpu else ', frames and processor time'}.",
         data=section.origin + "episodes.csv and timing.csv",
     )
+
+
+def timed_episodes(section: Section) -> pd.DataFrame:
+    """Its training games, with their processor time if all of it is of one core: a GPU's is not."""
+    return section.episodes.drop(columns=["cpu_seconds"] * section.on_gpu)
 
 
 def published_points(section: Section) -> dict[str, Any] | None:
