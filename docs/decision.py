@@ -46,7 +46,7 @@ def draw(game: AtariEnv, images: np.ndarray, q_values: np.ndarray) -> None:
         panel.axis("off")
     axes = figure.add_subplot(parts[2])
     colours = ["0.6"] * len(q_values)
-    colours[int(q_values.argmax())] = plots.COLOURS["double_dqn"]
+    colours[int(q_values.argmax())] = plots.STYLES["double_dqn"].colour
     axes.scatter(q_values, [action.name.lower() for action in game.actions], c=colours, s=14)
     axes.set(xlabel="Q-value")
     axes.invert_yaxis()

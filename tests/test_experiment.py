@@ -156,6 +156,14 @@ def test_the_video_and_the_commands_are_of_this_run(stored, shown, displayed, mo
     assert (again.agents, again.seeds) == ([run.agent], [run.seed])
 
 
+def test_of_a_run_without_a_game_one_line_says_so(small, tmp_path):
+    run = Run(small(agents=["dqn"]), tmp_path)
+    shows = (experiment.show_curve, experiment.show_scores)
+    for show in (*shows, lambda run: experiment.show_video(run, 5)):
+        with pytest.raises(RunError, match="before its first game"):
+            show(run)
+
+
 def test_every_parameter_is_shown_with_its_unit(small, tmp_path, displayed):
     experiment.show_parameters(Run(small(gamma=0.5), tmp_path))
     text = displayed[0].shown[0]["text/plain"]
