@@ -81,6 +81,13 @@ def _scientific(value: Any) -> Any:
     return value
 
 
+def check_profile(name: str) -> None:
+    """Raises ParameterError on an unknown profile, which would name a folder."""
+    if name not in PROFILES:
+        allowed = ", ".join(PROFILES)
+        raise ParameterError(f"profile: {shown(name)} is not allowed: must be one of {allowed}")
+
+
 def hint(name: str, known: Collection[str]) -> str:
     """What to say of a name that is not among those known."""
     near = difflib.get_close_matches(name, known, n=1)
