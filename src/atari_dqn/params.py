@@ -45,7 +45,7 @@ HELD_OUT_STATES = 512  # of random play, whose values are followed too
 
 
 # What a file may ask of its reader. Ours have two thousand bytes, and lists within two mappings.
-LARGEST_FILE = 20_000  # bytes: they can take a second
+LARGEST_FILE = 10_000  # bytes: they can take half a second
 LONGEST_VALUE = 500  # characters: no message is longer, and Python takes so long a number
 DEEPEST = 8  # lists and mappings within one another
 MOST_BASES = 20  # files behind one
