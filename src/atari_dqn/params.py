@@ -169,10 +169,8 @@ class Parameters(BaseModel):
     warmup_learning_rate: Number = Field(
         0.0, ge=0, le=1, description="step size before the first game"
     )
-    adam_epsilon: Number = (
-        Field(  # as a float32 a smaller one is 0; beside a larger one nothing moves
-            1e-8, ge=1e-30, le=1e6, description="added to Adam's denominator"
-        )
+    adam_epsilon: Number = Field(  # a smaller float32 is 0; beside a larger one nothing moves
+        1e-8, ge=1e-30, le=1e6, description="added to Adam's denominator"
     )
     gamma: Number = Field(0.99, ge=0, lt=1, description="discount per agent step")
     n_steps: int = Field(1, ge=1, le=16, description="agent steps of reward before a value is used")
