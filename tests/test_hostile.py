@@ -58,7 +58,7 @@ def command(folder, *arguments):
             __main__.main()
     assert time.process_time() - began < SECONDS
     assert contents(folder) == before
-    return ended.value.code or 0, out.getvalue(), err.getvalue()
+    return ended.value.code, out.getvalue(), err.getvalue()
 
 
 def is_one_line(text):

@@ -381,7 +381,7 @@ def main() -> None:
     """Runs the command line; what a user can mend is one line on stderr, not a traceback."""
     warnings.showwarning = lambda message, *_: print(f"warning: {message}", file=sys.stderr)
     try:
-        sys.exit(app(standalone_mode=False))
+        sys.exit(app(standalone_mode=False) or 0)
     except typer.TyperException as error:  # a wrong command line; without any, the help
         said = error.format_message()
         if not said.startswith("Usage:"):
