@@ -11,6 +11,7 @@ from importlib.util import find_spec
 from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
+from urllib.parse import urlsplit
 
 import typer
 
@@ -112,7 +113,8 @@ def train(
     wanted = runs_of(chosen, results_folder(chosen.profile, results))
     _back_up(wanted if restart else [])
     for folder in dict.fromkeys(run.folder.parents[1] for run in wanted):
-        print(f"results go to {folder}", file=sys.stderr)  # before imports that take seconds
+        # before imports that take seconds
+        print(f"results go to {params.printable(str(folder))}", file=sys.stderr)
 
     from atari_dqn.runs import recorder
 
@@ -135,7 +137,9 @@ Epsilon = Annotated[float | None, typer.Option(help="Probability of a random act
 @app.command()
 def evaluate(
     run_dir: Annotated[Path, typer.Argument(help="A finished run's folder, .../seed-N.")],
-    games: Annotated[int | None, typer.Option(min=1, help="By default the run's own.")] = None,
+    games: Annotated[
+        int | None, typer.Option(min=1, max=params.MOST, help="By default the run's own.")
+    ] = None,
     difficulty: Difficulty = None,
     sticky: Sticky = None,
     epsilon: Epsilon = None,
@@ -145,8 +149,8 @@ def evaluate(
     ] = None,
 ) -> None:
     """Play whole games with a run's published model and store them in its evaluations.csv."""
-    given = _conditions(difficulty, sticky, epsilon)
     _writable(video)
+    given = _conditions(run_dir, difficulty, sticky, epsilon)
     print(f"playing with {model_file(run_dir)}", file=sys.stderr)
 
     from atari_dqn.runs import audit, evaluations
@@ -166,15 +170,19 @@ def evaluate(
 
 
 def _conditions(
-    difficulty: int | None, sticky: float | None, epsilon: float | None
+    run_dir: Path, difficulty: int | None, sticky: float | None, epsilon: float | None
 ) -> dict[str, Any]:
-    """The parameters of a run that the command line changes."""
+    """The parameters of a stored run that the command line changes. Raises ParameterError if they
+    cannot be, or if the run has no model."""
     chosen = {
         "difficulty": difficulty,
         "sticky_actions": sticky,
         "evaluation_epsilon": epsilon,
     }
-    return {key: value for key, value in chosen.items() if value is not None}
+    given = {key: value for key, value in chosen.items() if value is not None}
+    path = model_file(run_dir).with_name(params.STORED)
+    params.parse({**params.read_values(path), **given}, str(path))
+    return given
 
 
 def _writable(path: Path | None, name: str = "--video", suffix: str = ".mp4") -> None:
@@ -185,7 +193,7 @@ def _writable(path: Path | None, name: str = "--video", suffix: str = ".mp4") ->
 @app.command()
 def watch(
     run_dir: RunFolder,
-    games: Annotated[int, typer.Option(min=1, help="How many.")] = 1,
+    games: Annotated[int, typer.Option(min=1, max=params.MOST, help="How many.")] = 1,
     difficulty: Difficulty = None,
     sticky: Sticky = None,
     epsilon: Epsilon = None,
@@ -198,8 +206,8 @@ def watch(
 
     The games are the first of those that `evaluate` plays.
     """
-    given = _conditions(difficulty, sticky, epsilon)
     _writable(video)
+    given = _conditions(run_dir, difficulty, sticky, epsilon)
     print(f"playing with {model_file(run_dir)}", file=sys.stderr)
 
     from atari_dqn.report.watch import watch
@@ -270,7 +278,8 @@ def verify(
 
     for run_dir in run_dirs:
         checked = audit.verify(run_dir, None if everything else episodes or 20)
-        bar = tqdm(checked, desc="verifying", unit="game", mininterval=2, leave=False)
+        # after a second, in which what cannot be read is refused
+        bar = tqdm(checked, desc="verifying", unit="game", mininterval=2, leave=False, delay=1)
         count = sum(1 for _ in bar)
         games = f"{count} game{'s' * (count != 1)}"
         print(f"{run_dir}: {games} played again, all as the tables say")
@@ -319,7 +328,7 @@ def run(
     results: Results = None,
     profile: Profile = "full",
     workers: Annotated[
-        int | None, typer.Option(min=1, help="Runs at once; by default one a core.")
+        int | None, typer.Option(min=1, max=1024, help="Runs at once; by default one a core.")
     ] = None,
     scheduler: Annotated[
         str | None,
@@ -330,6 +339,8 @@ def run(
     """Train what is missing or interrupted, several runs at once."""
     if scheduler is not None and workers is not None:
         raise ParameterError("--workers: a cluster has its own; leave it out with --scheduler")
+    if scheduler is not None and not _is_address(scheduler):
+        raise ParameterError(f"--scheduler {params.shown(scheduler)}: expected tcp://HOST:PORT")
 
     from atari_dqn.runs import plan
 
@@ -348,9 +359,18 @@ def run(
         raise RunError("\n".join(failures + refused))
 
 
+def _is_address(text: str) -> bool:
+    try:
+        parts = urlsplit(text)
+        return bool(parts.scheme and parts.hostname and parts.port)
+    except ValueError:  # no such port
+        return False
+
+
 @app.command(name="report")
 def report_(profile: Profile = "full", results: Results = None) -> None:
     """Render the report from the stored runs; quick and smoke train their small runs first."""
+    params.check_profile(profile)  # before imports that take seconds
     from atari_dqn.report import build
 
     with _interruptible():
@@ -361,7 +381,13 @@ def main() -> None:
     """Runs the command line; what a user can mend is one line on stderr, not a traceback."""
     warnings.showwarning = lambda message, *_: print(f"warning: {message}", file=sys.stderr)
     try:
-        app()
+        sys.exit(app(standalone_mode=False) or 0)
+    except typer.TyperException as error:  # a wrong command line; without any, the help
+        said = error.format_message()
+        if not said.startswith("Usage:"):
+            said = f"error: {params.printable(said)}"
+        print(said, file=sys.stderr)
+        sys.exit(2)
     except ParameterError as error:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(2)
@@ -371,7 +397,8 @@ def main() -> None:
     except OSError as error:
         if error.filename is None:
             raise
-        print(f"error: {error.filename}: {error.strerror}", file=sys.stderr)
+        said = params.printable(f"{error.filename}: {error.strerror}")
+        print(f"error: {said}", file=sys.stderr)
         sys.exit(2)
 
 

@@ -23,7 +23,10 @@ from pydantic import (
     model_validator,
 )
 from ruamel.yaml import YAML
+from ruamel.yaml.composer import Composer, ComposerError
+from ruamel.yaml.constructor import ConstructorError, SafeConstructor
 from ruamel.yaml.error import YAMLError
+from ruamel.yaml.events import ScalarEvent
 
 from atari_dqn.games import GAMES
 
@@ -41,8 +44,34 @@ VALUE_GAMES = 20  # greedy games behind each
 HELD_OUT_STATES = 512  # of random play, whose values are followed too
 
 
+# What a file may ask of its reader. Ours have two thousand bytes, and lists within two mappings.
+LARGEST_FILE = 10_000  # bytes: they can take half a second
+LONGEST_VALUE = 500  # characters: no message is longer, and Python takes so long a number
+DEEPEST = 8  # lists and mappings within one another
+MOST_BASES = 20  # files behind one
+
+MOST = 2**32 - 1  # of a seed, and of whatever is counted: no run comes near, no library minds
+
+
+def printable(text: str) -> str:
+    """A text as one line that a terminal can be shown: names of files may hold anything."""
+    return "".join(char if char.isprintable() else repr(char)[1:-1] for char in text)
+
+
 class ParameterError(ValueError):
     """A bad parameter; the message is one line, fit to be shown to a user as it is."""
+
+    def __init__(self, message: str):
+        super().__init__(printable(message))
+
+
+def shown(value: Any) -> str:
+    """A value as a message names it: the beginning of a long one."""
+    try:
+        text = repr(value)
+    except (ValueError, RecursionError):  # a number of thousands of digits, a list of lists of ...
+        return f"this {type(value).__name__}"
+    return text if len(text) <= 200 else f"{text[:180]}... ({len(text):,} characters)"
 
 
 def _scientific(value: Any) -> Any:
@@ -50,6 +79,13 @@ def _scientific(value: Any) -> Any:
     if isinstance(value, str) and re.fullmatch(r"[+-]?\d+(\.\d*)?[eE][+-]?\d+", value):
         return float(value)
     return value
+
+
+def check_profile(name: str) -> None:
+    """Raises ParameterError on an unknown profile, which would name a folder."""
+    if name not in PROFILES:
+        allowed = ", ".join(PROFILES)
+        raise ParameterError(f"profile: {shown(name)} is not allowed: must be one of {allowed}")
 
 
 def hint(name: str, known: Collection[str]) -> str:
@@ -64,8 +100,18 @@ def _named(kind: str, name: str, known: Collection[str]) -> str:
     return name
 
 
+def _experiment(name: str) -> str:
+    """Refuses what names no file and no folders of its own; the hash is `_renamed`'s."""
+    if not re.fullmatch(r"[a-z0-9_]{1,100}(\+[0-9a-f]{8})?", name):
+        raise ValueError("must be of a-z, 0-9 and _, 100 at most")
+    return name
+
+
 AgentName = Annotated[str, AfterValidator(lambda name: _named("agent", name, AGENT_NAMES))]
 GameName = Annotated[str, AfterValidator(lambda name: _named("game", name, GAMES))]
+ExperimentName = Annotated[str, AfterValidator(_experiment)]
+SourceName = Annotated[str, AfterValidator(lambda name: name and _experiment(name))]
+Count = Annotated[int, Field(le=MOST)]
 Number = Annotated[float, BeforeValidator(_scientific), Field(allow_inf_nan=False)]
 
 
@@ -80,24 +126,28 @@ class Parameters(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
-    experiment: str = Field(pattern=r"^[a-z0-9_]+(\+[0-9a-f]{8})?$", description="name")
+    experiment: ExperimentName = Field(description="name")
     profile: Profile = Field("full", description="name; quick and smoke runs are no evidence")
     agents: list[AgentName] = Field(list(AGENT_NAMES), min_length=1, description="names")
-    seeds: list[Annotated[int, Field(ge=0)]] = Field([1], min_length=1, description="integers")
-    episodes: int = Field(3000, ge=1, description="games to train for")
+    seeds: list[Annotated[Count, Field(ge=0)]] = Field([1], min_length=1, description="integers")
+    episodes: Count = Field(3000, ge=1, description="games to train for")
 
     # Training: the game and what the agent sees of it
     game: GameName = Field("boxing", description="name of the cartridge")
     frame_skip: int = Field(4, ge=1, le=16, description="frames an action is held for")
     frame_stack: int = Field(4, ge=1, le=8, description="images an observation holds")
-    noop_max: int = Field(
-        30, ge=0, description="frames; maximum number of idle frames at the start"
+    noop_max: int = Field(  # after ten seconds a game may be over before it begins
+        30, ge=0, le=600, description="frames; maximum number of idle frames at the start"
     )
-    max_game_frames: int = Field(108_000, ge=1, description="frames after which a game is cut off")
+    max_game_frames: Count = Field(
+        108_000, ge=1, description="frames after which a game is cut off"
+    )
     sticky_actions: Number = Field(0.0, ge=0, lt=1, description="probability per frame")
     difficulty: int = Field(0, ge=0, le=3, description="switches; 1 slows the agent, 2 its rival")
     clip_rewards: bool = Field(True, description="learn from the reward's sign only")
-    life_loss_penalty: Number = Field(0.0, ge=0, description="reward subtracted for a lost life")
+    life_loss_penalty: Number = Field(
+        0.0, ge=0, le=1e6, description="reward subtracted for a lost life"
+    )
 
     # Training: exploration
     epsilon_start: Number = Field(1.0, ge=0, le=1, description="probability of a random action")
@@ -108,21 +158,27 @@ class Parameters(BaseModel):
 
     # Training: replay and learning
     environments: int = Field(8, ge=1, le=64, description="emulators stepped in turn")
-    replay_capacity: int = Field(1_000_000, ge=1, description="transitions remembered")
-    learning_starts: int = Field(20_000, ge=0, description="agent steps before the first update")
-    update_period: int = Field(4, ge=1, description="agent steps per update")
-    batch_size: int = Field(32, ge=1, description="transitions per update")
-    learning_rate: Number = Field(1e-4, gt=0, description="step size of Adam")
-    warmup_games: int = Field(0, ge=0, description="games in which the learning rate rises")
-    warmup_learning_rate: Number = Field(0.0, ge=0, description="step size before the first game")
-    adam_epsilon: Number = Field(1e-8, gt=0, description="added to Adam's denominator")
+    replay_capacity: int = Field(  # 1 GB of memory holds a million
+        1_000_000, ge=1, le=10_000_000, description="transitions remembered"
+    )
+    learning_starts: Count = Field(20_000, ge=0, description="agent steps before the first update")
+    update_period: Count = Field(4, ge=1, description="agent steps per update")
+    batch_size: int = Field(32, ge=1, le=4096, description="transitions per update")
+    learning_rate: Number = Field(1e-4, gt=0, le=1, description="step size of Adam")
+    warmup_games: Count = Field(0, ge=0, description="games in which the learning rate rises")
+    warmup_learning_rate: Number = Field(
+        0.0, ge=0, le=1, description="step size before the first game"
+    )
+    adam_epsilon: Number = Field(  # a smaller float32 is 0; beside a larger one nothing moves
+        1e-8, ge=1e-30, le=1e6, description="added to Adam's denominator"
+    )
     gamma: Number = Field(0.99, ge=0, lt=1, description="discount per agent step")
     n_steps: int = Field(1, ge=1, le=16, description="agent steps of reward before a value is used")
-    target_update_period: int = Field(2000, ge=1, description="updates between target updates")
+    target_update_period: Count = Field(2000, ge=1, description="updates between target updates")
     tau: Number = Field(1.0, gt=0, le=1, description="fraction moved towards the online weights")
 
     # Training: transfer
-    initial_weights: str = Field(
+    initial_weights: SourceName = Field(
         "", description="experiment whose model of the same agent and seed to start from; or none"
     )
     transferred_layers: Literal["all", "convolutions"] = Field(
@@ -132,10 +188,10 @@ class Parameters(BaseModel):
 
     # Not training
     variations: dict[str, dict[str, Any]] = Field(
-        {}, description="label: {parameter: value}; each is run beside the others"
+        {}, max_length=100, description="label: {parameter: value}; each is run beside the others"
     )
-    snapshot_games: list[Annotated[int, Field(ge=1)]] = Field(
-        [], description="games after which the weights are kept"
+    snapshot_games: list[Annotated[Count, Field(ge=1)]] = Field(  # 3 MB each, in memory too
+        [], max_length=100, description="games after which the weights are kept"
     )
     device: Literal["auto", "cpu", "cuda"] = Field("auto", description="where networks live")
     learner: Literal["auto", "native", "torch"] = Field(
@@ -144,7 +200,7 @@ class Parameters(BaseModel):
     emulator_processes: int = Field(
         1, ge=1, le=64, description="processes that share a run's emulators; 1 steps them in turn"
     )
-    evaluation_games: int = Field(100, ge=1, description="games of the final evaluation")
+    evaluation_games: Count = Field(100, ge=1, description="games of the final evaluation")
     evaluation_epsilon: Number = Field(0.001, ge=0, le=1, description="probability, evaluating")
     evaluation_difficulties: list[int] = Field(
         [], description="switches; the final evaluation is repeated with each"
@@ -182,6 +238,8 @@ class Parameters(BaseModel):
         if self.epsilon_floor > self.epsilon_start:
             raise _key_error("epsilon_floor", self.epsilon_floor, "above epsilon_start")
         for label, changes in self.variations.items():
+            if not re.fullmatch(r"\w[\w .,:/+%()×=-]{,59}", label):  # reports print it
+                raise _key_error("variations", label, "a label is words, numbers and .,:/+%()×=-")
             if not changes or set(changes) & (NOT_VARIANT | EVALUATED_BESIDES):
                 raise _key_error("variations", label, "names parameters that vary the training")
         resolved = [_variation(self, label).variant() for label in self.variations]
@@ -225,7 +283,7 @@ def _digest(values: Any) -> str:
 
 
 def _key_error(key: str, value: Any, why: str) -> ValueError:
-    return ValueError(f"{key}: {value!r} is not allowed: {why}")
+    return ValueError(f"{key}: {shown(value)} is not allowed: {why}")
 
 
 class Values(dict[str, Any]):
@@ -235,27 +293,33 @@ class Values(dict[str, Any]):
     files: dict[str, Path]
 
 
+def _unknown_key(key: str) -> str:
+    nearest = difflib.get_close_matches(key, Parameters.model_fields, n=1)
+    hint = f"did you mean {nearest[0]!r}?" if nearest else "see params/ for the keys"
+    return f"unknown key {shown(key)}: {hint}"
+
+
 def _one_line(error: ValidationError, files: dict[str, Path]) -> str:
-    """What pydantic found, as one line for people: key, value and what is allowed."""
+    """What pydantic found, as one line for people: key, value and what is allowed; the first five
+    of many things."""
     lines = []
-    for detail in error.errors():
+    for detail in error.errors()[:5]:
         key = ".".join(str(part) for part in detail["loc"])
         if detail["type"] == "extra_forbidden":
-            nearest = difflib.get_close_matches(key, Parameters.model_fields, n=1)
-            hint = f"did you mean {nearest[0]!r}?" if nearest else "see params/ for the keys"
-            lines.append(f"unknown key {key!r}: {hint}")
+            lines.append(_unknown_key(key))
         elif detail["type"] == "missing":
             lines.append(f"key {key!r} is missing")
         else:
             message = detail["msg"].removeprefix("Value error, ")
             if key:  # else the validator of the whole has named it
                 message = message[0].lower() + message[1:]
-                message = f"{key}: {detail['input']!r} is not allowed: {message}"
+                message = f"{key}: {shown(detail['input'])} is not allowed: {message}"
             lines.append(message)
         named = str(detail["loc"][0]) if detail["loc"] else lines[-1].partition(":")[0]
         if named in files:
             lines[-1] += f" (it is in {files[named]})"
-    return "; ".join(lines)
+    more = error.error_count() - len(lines)
+    return "; ".join([*lines, f"and {more:,} more"] if more else lines)
 
 
 def parse(values: dict[str, Any], source: str) -> Parameters:
@@ -270,15 +334,22 @@ def parse(values: dict[str, Any], source: str) -> Parameters:
 def read_values(path: Path) -> Values:
     """The keys and values of a YAML file, on top of those of the files that its `base` names, from
     the first to the last, but for their `experiment`; their paths are relative to its own."""
-    return _read_values(path, ())
+    return _read_values(path, (), [])
 
 
-def _read_values(path: Path, above: tuple[Path, ...]) -> Values:
+def _read_values(path: Path, above: tuple[Path, ...], read: list[Path]) -> Values:
+    """`above` are the files on the way to this one, `read` is of all so far: two bases of two bases
+    each, and so on, are a thousand after ten floors."""
+    read.append(path)
+    if len(read) > MOST_BASES:
+        raise ParameterError(f"{read[0]}: base: more than {MOST_BASES} files are behind this one")
     values = _read_file(path)
     given = values.pop("base", [])
     names = [given] if isinstance(given, str) else given
-    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
-        raise ParameterError(f"{path}: base: {given!r} is not allowed: must be a file, or a list")
+    if not isinstance(names, list) or not all(_is_name(name) for name in names):
+        raise ParameterError(
+            f"{path}: base: {shown(given)} is not allowed: must be a file, or a list"
+        )
     merged = Values()
     merged.files = {}
     for name in names:
@@ -287,7 +358,7 @@ def _read_values(path: Path, above: tuple[Path, ...]) -> Values:
             raise ParameterError(f"{path}: base: {name!r} is not allowed: it is based on this file")
         if not base.is_file():
             raise ParameterError(f"{path}: base: {name!r} is not allowed: there is no {base}")
-        inherited = _read_values(base, (path, *above))
+        inherited = _read_values(base, (path, *above), read)
         inherited.pop("experiment", None)
         merged.update(inherited)
         merged.files |= {key: inherited.files.get(key, base) for key in inherited}
@@ -297,9 +368,17 @@ def _read_values(path: Path, above: tuple[Path, ...]) -> Values:
     return merged
 
 
+def _is_name(value: Any) -> bool:
+    return isinstance(value, str) and value.isprintable()
+
+
 def _read_file(path: Path) -> dict[str, Any]:
     try:
-        values = YAML(typ="safe", pure=True).load(path.read_text(encoding="utf-8"))
+        with path.open("rb") as file:
+            data = file.read(LARGEST_FILE + 1)
+        if len(data) > LARGEST_FILE:
+            raise ParameterError(f"{path}: a parameter file has {LARGEST_FILE:,} bytes at most")
+        values = _plain_yaml(data.decode("utf-8"))
     except OSError as error:
         why = f"{path}: {str(error.strerror).lower()}"
         raise ParameterError(why + (_nearest(path) if not path.exists() else "")) from None
@@ -308,6 +387,45 @@ def _read_file(path: Path) -> dict[str, Any]:
     if not isinstance(values, dict) or not all(isinstance(key, str) for key in values):
         raise ParameterError(f"{path}: expected lines of 'key: value'")
     return values
+
+
+class _Composer(Composer):
+    """Refuses what a few lines can hide a million values in, or more floors than Python has room
+    for on its stack, before it is built; and tags, for which no parameter has a use."""
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        event, problem = self.parser.peek_event(), None
+        if event.anchor is not None:  # an alias has its anchor's
+            problem = f"an anchor or alias ({event.anchor}) is not allowed: write the value itself"
+        elif event.tag is not None:
+            problem = f"a tag ({event.tag}) is not allowed: write the value alone"
+        elif self.depth > DEEPEST:
+            problem = f"more than {DEEPEST} lists and mappings within one another"
+        elif isinstance(event, ScalarEvent) and len(event.value) > LONGEST_VALUE:
+            problem = f"a value of more than {LONGEST_VALUE} characters"
+        elif parent is not None and index is None and not isinstance(event, ScalarEvent):
+            problem = "a key must be a name"
+        if problem:
+            raise ComposerError(None, None, problem, event.start_mark)
+        return super().compose_node(parent, index)
+
+
+class _Constructor(SafeConstructor):
+    """Says where a value is that looks like a date or a number and is none."""
+
+    def construct_object(self, node: Any, deep: bool = False) -> Any:
+        try:
+            return super().construct_object(node, deep)
+        except ValueError as error:
+            problem = f"{shown(node.value)} is not allowed: {error}"
+            raise ConstructorError(None, None, problem, node.start_mark) from None
+
+
+def _plain_yaml(text: str) -> Any:
+    """The value of a YAML document; what it looks like is what it is. Raises YAMLError."""
+    yaml = YAML(typ="safe", pure=True)
+    yaml.Composer, yaml.Constructor = _Composer, _Constructor
+    return yaml.load(text)
 
 
 def _nearest(path: Path) -> str:
@@ -351,7 +469,8 @@ def load(path: Path | str, overrides: dict[str, Any] | None = None) -> Parameter
     named = values.setdefault("experiment", path.stem)
     if named != path.stem and path.name != STORED:
         raise ParameterError(
-            f"{path}: experiment: {named!r} is not allowed: must be the file's name, {path.stem!r}"
+            f"{path}: experiment: {shown(named)} is not allowed: "
+            f"must be the file's name, {path.stem!r}"
         )
     base = parse(values, str(path))
     changed = parse({**values, **(overrides or {})}, f"{path} with overrides")
@@ -359,7 +478,9 @@ def load(path: Path | str, overrides: dict[str, Any] | None = None) -> Parameter
         now, was = getattr(changed, key), getattr(base, key)
         if now != was:
             hint = "; `evaluate` plays a stored run otherwise" if key in EVALUATED_BESIDES else ""
-            raise ParameterError(f"{key}: {now!r} is not allowed: {path} has {was!r}{hint}")
+            raise ParameterError(
+                f"{key}: {shown(now)} is not allowed: {path} has {shown(was)}{hint}"
+            )
     return _renamed(base, changed)
 
 
@@ -399,8 +520,8 @@ def resolve(values: dict[str, Any], folder: Path) -> Parameters:
     path = folder / profile / f"{given.experiment}.yaml"
     if base is not None and (not path.exists() or _read_file(path).get("base") != base):
         raise ParameterError(
-            f"base: {base!r} is not allowed: {path} has another, and a notebook takes no other "
-            "files with bases; `python -m atari_dqn train FILE` does"
+            f"base: {shown(base)} is not allowed: {path} has another, and a notebook takes no "
+            "other files with bases; `python -m atari_dqn train FILE` does"
         )
     if path.exists():
         return load(path, values)
@@ -431,9 +552,11 @@ def pick(params: Parameters, agent: str | None, seed: int | None) -> Parameters:
     """The same experiment with one agent and one seed only, where they are given."""
     if agent is not None and agent not in AGENT_NAMES:
         allowed = ", ".join(AGENT_NAMES)
-        raise ParameterError(f"agent: {agent!r} is not allowed: must be one of {allowed}")
-    if seed is not None and (type(seed) is not int or seed < 0):
-        raise ParameterError(f"seed: {seed!r} is not allowed: must be a whole number from 0")
+        raise ParameterError(f"agent: {shown(agent)} is not allowed: must be one of {allowed}")
+    if seed is not None and (type(seed) is not int or not 0 <= seed <= MOST):
+        raise ParameterError(
+            f"seed: {shown(seed)} is not allowed: must be a whole number from 0 to {MOST}"
+        )
     agents = params.agents if agent is None else [agent]
     seeds = params.seeds if seed is None else [seed]
     return params.model_copy(update={"agents": agents, "seeds": seeds})
@@ -444,14 +567,19 @@ def parse_overrides(texts: list[str]) -> dict[str, Any]:
     overrides: dict[str, Any] = {}
     for text in texts:
         key, equals, value = text.partition("=")
+        given = f"--set {shown(text)}"
         if not equals or not key:
-            raise ParameterError(f"--set {text!r}: expected KEY=VALUE")
+            raise ParameterError(f"{given}: expected KEY=VALUE")
+        if key not in Parameters.model_fields:
+            raise ParameterError(f"{given}: {_unknown_key(key)}")
         if key in overrides:
-            raise ParameterError(f"--set {text!r}: {key} is set twice")
+            raise ParameterError(f"{given}: {key} is set twice")
+        if len(value) > LARGEST_FILE:
+            raise ParameterError(f"{given}: a value has {LARGEST_FILE:,} characters at most")
         try:
-            overrides[key] = YAML(typ="safe", pure=True).load(value)
+            overrides[key] = _plain_yaml(value)
         except YAMLError as error:
-            raise ParameterError(f"--set {text!r}: {_yaml_message(error)}") from None
+            raise ParameterError(f"{given}: {_yaml_message(error)}") from None
     return overrides
 
 

@@ -64,9 +64,14 @@ def run_from_notebook(values: dict[str, Any]) -> Run:
     known = {*Parameters.model_fields, *OWN, "base"}
     for name in values:
         if name not in known:
-            raise ParameterError(f"unknown parameter {name!r}; {params.hint(name, known)}")
+            why = params.hint(name, known)
+            raise ParameterError(f"unknown parameter {params.shown(name)}; {why}")
     values = {name: value for name, value in values.items() if value is not None}
     agent, seed, results = (values.pop(name, None) for name in OWN)
+    if results is not None and not (isinstance(results, str) and results.isprintable()):
+        raise ParameterError(
+            f"results_dir: {params.shown(results)} is not allowed: must be a folder"
+        )
     resolved = params.resolve(values, project_root() / "params")
     if resolved.variations:
         raise ParameterError(

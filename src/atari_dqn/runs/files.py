@@ -6,7 +6,7 @@ from pathlib import Path
 
 from filelock import FileLock
 
-from atari_dqn.params import ParameterError
+from atari_dqn.params import ParameterError, check_profile
 
 
 class RunError(RuntimeError):
@@ -22,9 +22,15 @@ def project_root() -> Path:
 
 
 def results_folder(profile: str, results: Path | str | None = None) -> Path:
-    """Where results go: `results`, or the project's own folder for a profile's."""
+    """Where results go: `results`, or the project's own folder for a profile's. Raises
+    ParameterError on an unknown profile, or if there can be no such folder."""
+    check_profile(profile)
     if results is not None:
-        return Path(results)
+        folder = Path(results)
+        there = next(path for path in (folder, *folder.parents, Path()) if path.exists())
+        if not there.is_dir():
+            raise ParameterError(f"results: {str(folder)!r} is not allowed: {there} is no folder")
+        return folder
     folder = project_root() / "results"
     return folder if profile == "full" else folder / profile
 

@@ -28,9 +28,7 @@ def files(profile: str) -> list[Path]:
 
     Raises ParameterError on an unknown profile.
     """
-    if profile not in params.PROFILES:
-        allowed = ", ".join(params.PROFILES)
-        raise ParameterError(f"profile: {profile!r} is not allowed: must be one of {allowed}")
+    params.check_profile(profile)
     folder = project_root() / "params"
     found = (folder if profile == "full" else folder / profile).glob("*.yaml")
     rank = {name: place for place, name in enumerate(ORDER)}
@@ -41,7 +39,8 @@ def file(name: str, profile: str) -> Path:
     """The parameter file of an experiment. Raises ParameterError if there is none."""
     available = {path.stem: path for path in files(profile)}
     if name not in available:
-        raise ParameterError(f"experiment {name!r} is not allowed: {params.hint(name, available)}")
+        why = params.hint(name, available)
+        raise ParameterError(f"experiment {params.shown(name)} is not allowed: {why}")
     return available[name]
 
 

@@ -24,15 +24,24 @@ import torch
 from tqdm import tqdm
 
 from atari_dqn import evaluation, params
-from atari_dqn.agents import Learner
+from atari_dqn.agents import AGENTS, Learner
 from atari_dqn.evaluation import ValueCheck
-from atari_dqn.native import NativeLearner
+from atari_dqn.native import NativeLearner, new_learner
 from atari_dqn.params import TRAINING_VERSION
 from atari_dqn.runs import checkpoints, records
 from atari_dqn.runs.evaluations import store_evaluation
 from atari_dqn.runs.files import RunError, evaluations_lock, write_atomically
 from atari_dqn.runs.models import initial_weights, load_model, model_bytes
-from atari_dqn.runs.run import COMPLETE, FAILED, INTERRUPTED, RESTART, RUNNING, STALE, Run
+from atari_dqn.runs.run import (
+    COMPLETE,
+    FAILED,
+    INTERRUPTED,
+    MISSING,
+    RESTART,
+    RUNNING,
+    STALE,
+    Run,
+)
 from atari_dqn.runs.value_checks import ValueChecks
 from atari_dqn.training import Episode, Trainer, prepare_process
 
@@ -59,9 +68,12 @@ def train(
     bar's line, None for no bar; `patience` the seconds to wait for a process that is about to let
     the run go; `follow` is called when the tables are as of the checkpoint, after every game, those
     of the final evaluation too, and at the end.
-    Raises RunError if the stored run does not match.
+    Raises RunError if the stored run does not match, ParameterError if it cannot be trained here.
     """
     prepare_process()
+    if run.state() == MISSING and not checkpoints.exist(run.state_folder):
+        # Raises what the run's own learner would, before there is a folder that nothing goes into
+        new_learner(AGENTS[run.agent], 18, run.params, run.seed, initial_weights(run))
     with run.lock(patience=patience):
         before = run.state()
         if before == STALE:

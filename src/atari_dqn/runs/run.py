@@ -32,7 +32,7 @@ from typing import TYPE_CHECKING, Any
 from filelock import FileLock, Timeout
 
 from atari_dqn import params
-from atari_dqn.params import TRAINING_VERSION, Parameters
+from atari_dqn.params import TRAINING_VERSION, ParameterError, Parameters
 from atari_dqn.runs import checkpoints
 from atari_dqn.runs.files import RunError
 
@@ -51,6 +51,14 @@ class Run:
     params: Parameters
     results: Path
     variation: str = ""  # what it changes of its experiment, if it does
+
+    def __post_init__(self) -> None:
+        source = self.params.initial_weights
+        if source == self.params.experiment:
+            raise ParameterError(
+                f"{self.name}: initial_weights: {source!r} is not allowed: "
+                "a run cannot start from its own model"
+            )
 
     @property
     def agent(self) -> str:
@@ -113,7 +121,9 @@ class Run:
         """The run whose model this one starts from, if any; as it is stored, if it is."""
         if not self.params.initial_weights:
             return None
-        like = self.params.model_copy(update={"experiment": self.params.initial_weights})
+        like = self.params.model_copy(
+            update={"experiment": self.params.initial_weights, "initial_weights": ""}
+        )
         path = Run(like, self.results).folder / "params.yaml"
         stored = params.parse(params.read_values(path), str(path)) if path.exists() else like
         return Run(stored, self.results)
