@@ -122,12 +122,12 @@ def test_a_window_that_fails_is_not_taken_for_one_that_was_closed():
         gone(1).show(3)
 
 
-@pytest.mark.parametrize("missing", ["the run", "its weights"])
-def test_what_cannot_be_watched_is_named(folder, tmp_path, missing):
+def test_what_cannot_be_watched_is_named(folder, tmp_path):
     run = tmp_path / "seed-1"
-    if missing == "its weights":
-        run.mkdir()
-        (run / "params.yaml").write_bytes((folder / "params.yaml").read_bytes())
+    with pytest.raises(params.ParameterError, match=r"seed-1: there is no such folder"):
+        watch(run, {}, 1, None)
+    run.mkdir()
+    (run / "params.yaml").write_bytes((folder / "params.yaml").read_bytes())
     with pytest.raises(params.ParameterError, match=r"seed-1: no model.safetensors here"):
         watch(run, {}, 1, None)
 

@@ -84,8 +84,7 @@ def _scientific(value: Any) -> Any:
 def check_profile(name: str) -> None:
     """Raises ParameterError on an unknown profile, which would name a folder."""
     if name not in PROFILES:
-        allowed = ", ".join(PROFILES)
-        raise ParameterError(f"profile: {shown(name)} is not allowed: must be one of {allowed}")
+        raise ParameterError(f"profile: {shown(name)} is not allowed: {hint(name, PROFILES)}")
 
 
 def hint(name: str, known: Collection[str]) -> str:
@@ -551,8 +550,7 @@ def conditions(params: Parameters) -> list[Parameters]:
 def pick(params: Parameters, agent: str | None, seed: int | None) -> Parameters:
     """The same experiment with one agent and one seed only, where they are given."""
     if agent is not None and agent not in AGENT_NAMES:
-        allowed = ", ".join(AGENT_NAMES)
-        raise ParameterError(f"agent: {shown(agent)} is not allowed: must be one of {allowed}")
+        raise ParameterError(f"agent: {shown(agent)} is not allowed: {hint(agent, AGENT_NAMES)}")
     if seed is not None and (type(seed) is not int or not 0 <= seed <= MOST):
         raise ParameterError(
             f"seed: {shown(seed)} is not allowed: must be a whole number from 0 to {MOST}"

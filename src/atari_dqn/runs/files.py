@@ -38,6 +38,8 @@ def results_folder(profile: str, results: Path | str | None = None) -> Path:
 def model_file(folder: Path) -> Path:
     """The weights of a stored run. Raises ParameterError if there are none."""
     path = folder / "model.safetensors"
+    if not folder.is_dir():
+        raise ParameterError(f"{folder}: there is no such folder; a run's is .../seed-N")
     if not path.exists():
         raise ParameterError(
             f"{folder}: no model.safetensors here; a run's folder (.../seed-N) has one from its "
