@@ -199,7 +199,11 @@ def test_a_value_of_another_type_is_refused_by_its_key(folder, key, value):
 
 SPECIAL = st.text("[]{}&*!|>'\"%@`#,:?-<= \n\t\\0a1.e~\0\x1b\u2028\ud800é", max_size=60)
 VALUES = st.recursive(
-    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=20),
+    st.none()
+    | st.booleans()
+    | st.integers()
+    | st.floats(allow_subnormal=False)
+    | st.text(max_size=20),
     lambda values: st.lists(values, max_size=3) | st.dictionaries(st.text(max_size=5), values),
     max_leaves=5,
 )
@@ -245,7 +249,7 @@ def test_any_file_is_taken_whole_or_refused_in_a_line(folder, content):
         (["train", "mine.yaml", "--set", "base=mine.yaml"], "unknown key 'base'"),
         (["train", "mine.yaml", "--set", "game=\udcff"], "unacceptable character"),
         (["train", "mine.yaml", "--results", "mine.yaml/x"], "mine.yaml is no folder"),
-        (["evaluate", "no\nwhere"], r"no\nwhere: no model.safetensors here"),
+        (["evaluate", "no\nwhere"], r"no\nwhere: there is no such folder"),
         (["evaluate", ".", "--games", "9" * 30], "'--games'"),
         (["evaluate", ".", "--video", "a\nb.avi"], r"--video 'a\nb.avi'"),
         (["watch", ".", "--difficulty", "easy"], "'--difficulty'"),
