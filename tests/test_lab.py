@@ -179,7 +179,7 @@ def test_a_stored_game_is_looked_through_and_played_on_in_jupyterlab(address, ta
     tab.hover("img.widget-image")
     tab.press("ArrowRight")
     tab.wait(f"document.body.textContent.match(/: step (\\d+) of/)?.[1] > {step + 20}")
-    assert "played" not in facts(tab), "the newest step"
+    assert "; played" not in facts(tab), "the newest step"
     button(tab, "stop")
     tab.wait(
         "[...document.querySelectorAll('button.jupyter-button')]"

@@ -9,6 +9,7 @@ from atari_dqn import params
 from atari_dqn.analysis.study import Section
 from atari_dqn.params import ParameterError, Parameters
 from atari_dqn.report.outputs import show_text
+from atari_dqn.runs import scheduler
 from atari_dqn.runs.files import RunError, project_root, results_folder
 from atari_dqn.runs.run import COMPLETE, STALE, Run
 
@@ -85,8 +86,6 @@ def run_from_notebook(values: dict[str, Any]) -> Run:
 
 def train(section: Section) -> None:
     """Trains what is missing of a section's runs. Raises RunError if a run fails."""
-    from atari_dqn.runs import scheduler  # which imports torch
-
     if failures := scheduler.train_all(section.runs):
         raise RunError("; ".join(failures))
 

@@ -36,6 +36,22 @@ def show_size(study: Study) -> None:
     )
 
 
+def play_again(game: dict) -> int:
+    """The score of a recorded game of Boxing, a line of `games.jsonl.zst`."""
+    from ale_py import ALEInterface, roms
+
+    ale = ALEInterface()
+    ale.setFloat("repeat_action_probability", 0.0)
+    ale.loadROM(roms.get_rom_path("boxing"))
+    ale.reset_game()
+    actions = ale.getMinimalActionSet()
+    score = sum(ale.act(0) for _ in range(game["idle_frames"]))
+    for letter in game["actions"]:
+        action = actions[ord(letter) - ord("A")]
+        score += sum(ale.act(action) for _ in range(4))
+    return score
+
+
 def show_speed() -> None:
     """How fast recorded games are played again."""
     path = project_root() / FOLDER / "records.json"

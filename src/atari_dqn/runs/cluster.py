@@ -19,7 +19,6 @@ from tqdm import tqdm
 
 from atari_dqn import params
 from atari_dqn.params import TRAINING_VERSION
-from atari_dqn.runs import recorder
 from atari_dqn.runs.files import RunError, write_atomically
 from atari_dqn.runs.run import Run
 from atari_dqn.runs.scheduler import (
@@ -129,6 +128,8 @@ def _store(run: Run, files: dict[str, bytes]) -> None:
 
 def _train(values: dict[str, Any], files: dict[str, bytes], version: int) -> dict[str, bytes]:
     """What a worker does with a run; returns the finished run's files."""
+    from atari_dqn.runs import recorder  # here: who only sends runs needs no PyTorch
+
     worker = get_worker()
     if worker.state.nthreads > 1:
         raise RunError("a run needs a process of its own: start the workers with --nthreads 1")

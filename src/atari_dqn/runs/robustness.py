@@ -12,18 +12,20 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, fields
 from itertools import cycle
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
 from tqdm import tqdm
 
-from atari_dqn import evaluation
 from atari_dqn.envs import AtariEnv, EpisodeRecord, make_env
-from atari_dqn.evaluation import Player
 from atari_dqn.params import Parameters
-from atari_dqn.runs import models, records
+from atari_dqn.runs import records
 from atari_dqn.runs.files import write_atomically
 from atari_dqn.runs.run import COMPLETE, Run, as_trained
+
+if TYPE_CHECKING:
+    from atari_dqn.evaluation import Player
 
 EXPERIMENTS = ("boxing_final", "breakout_final")  # whose agents are put to it
 SEQUENCE, MIRRORED = "sequence", "mirrored"
@@ -43,9 +45,11 @@ class Trial:
 def measure(run: Run) -> None:
     """Plays a complete run's model under both conditions and writes the run's file, unless the
     file is of this model. Raises RunError or RecordError if model or records cannot be read."""
-    model = run.folder / "model.safetensors"
     if run.state() != COMPLETE:
         return
+    from atari_dqn.runs import models  # here: the report's tables are read without PyTorch
+
+    model = run.folder / "model.safetensors"
     trained = models.trained_games(model)
     if run.robustness.exists() and set(pd.read_csv(run.robustness).trained_games) == {trained}:
         return
@@ -103,6 +107,9 @@ def play_blindly(env: AtariEnv, moves: bytes) -> None:
 
 
 def _mirrored(run: Run, trained: int) -> Iterator[Trial]:
+    from atari_dqn import evaluation
+    from atari_dqn.runs import models
+
     network = models.load_model(run.folder / "model.safetensors", run.params)
     player = mirrored(evaluation.player_of(network, run.params), run.params)
     games = run.params.evaluation_games
@@ -111,7 +118,7 @@ def _mirrored(run: Run, trained: int) -> Iterator[Trial]:
         yield Trial(MIRRORED, game.game, game.score, game.length, trained)
 
 
-def mirrored(player: Player, params: Parameters) -> Player:
+def mirrored(player: "Player", params: Parameters) -> "Player":
     """The player in a world where left is right: it sees the mirror image, and its moves are made
     the other way round."""
     names = [action.name for action in make_env(params).actions]

@@ -12,7 +12,6 @@ from multiprocessing.context import SpawnContext
 from typing import Any
 
 from atari_dqn.params import ParameterError
-from atari_dqn.runs import recorder
 from atari_dqn.runs.files import RunError
 from atari_dqn.runs.plan import DAMAGED
 from atari_dqn.runs.run import COMPLETE, MISSING, RESTART, STALE, Run
@@ -151,6 +150,8 @@ def _train(run: Run, place: int, sender: Connection) -> None:
 
     The bars of several processes share no lock: one that dies while holding it would stop all.
     """
+    from atari_dqn.runs import recorder  # here: who only starts the workers needs no PyTorch
+
     try:
         recorder.train(run, place)
     except KeyboardInterrupt:
