@@ -167,7 +167,7 @@ def test_an_unknown_experiment_to_start_from_is_refused_before_anything_is_train
 def test_a_model_to_start_from_that_cannot_be_read_is_named(tmp_path, small, transfer):
     recorder.train(Run(small(), tmp_path))
     (Run(small(), tmp_path).folder / "model.safetensors").write_bytes(b"no weights")
-    with pytest.raises(RunError, match=r"model\.safetensors, which transfer/double_dqn/seed-1"):
+    with pytest.raises(RunError, match=r"seed-1 starts from small/.*model\.safetensors cannot be"):
         recorder.train(Run(transfer, tmp_path))
 
 

@@ -131,12 +131,17 @@ class Trainer:
 
     def _sum_up(self) -> np.ndarray:
         """The sums with the newest updates in them. A GPU gives their numbers as tensors, and is
-        waited for only here."""
+        waited for only here. Raises FloatingPointError if an update's loss was not finite."""
         if self.newest and isinstance(self.newest[0], torch.Tensor):
             self.newest = torch.stack(self.newest).tolist()
         for loss, q in self.newest:
             self.sums += (loss, q, 1)
         self.newest = []
+        if not np.isfinite(self.sums).all():
+            raise FloatingPointError(
+                f"the loss is no longer finite after {self.learner.updates:,} updates: learning "
+                f"has diverged; try a learning_rate below {self.params.learning_rate:g}"
+            )
         return self.sums
 
     def _finish(self, games: list[FinishedEpisode], probability: float) -> None:

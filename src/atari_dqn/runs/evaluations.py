@@ -1,5 +1,6 @@
 """Evaluating a stored run: its model plays, and its folder remembers the games."""
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,7 @@ from tqdm import tqdm
 from atari_dqn import evaluation
 from atari_dqn.evaluation import EvaluationEpisode
 from atari_dqn.runs import models, records
-from atari_dqn.runs.files import evaluations_lock, write_atomically
+from atari_dqn.runs.files import RunError, evaluations_lock, write_atomically
 from atari_dqn.training import prepare_process
 
 
@@ -21,6 +22,8 @@ def evaluate(folder: Path, overrides: dict[str, Any], games: int | None = None) 
     """
     prepare_process()
     network, parameters = models.stored_agent(folder, overrides)
+    if not os.access(folder, os.W_OK):
+        raise RunError(f"{folder} cannot be written to, and is where the games are stored")
     if (folder / records.FILE).exists():
         records.read_file(folder)  # lest games are played that cannot be added to a damaged file
     games = games or parameters.evaluation_games

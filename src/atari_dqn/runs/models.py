@@ -1,12 +1,13 @@
 """A run's published models: the online network's weights, float16, in a safetensors file that
 says after how many games of training."""
 
+import hashlib
 from pathlib import Path
 from typing import Any
 
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import load_file, save
+from safetensors.torch import save
 from torch import nn
 
 from atari_dqn import params
@@ -18,20 +19,45 @@ from atari_dqn.runs.run import COMPLETE, Run
 
 
 def model_bytes(weights: dict[str, torch.Tensor], games: int) -> bytes:
-    """The contents of a model.safetensors: the weights as float16, and the games of training."""
+    """The contents of a model.safetensors: the weights as float16, and beside them the games of
+    training and the checksum of both."""
     half = {name: value.half().contiguous() for name, value in weights.items()}
-    return save(half, {"games": str(games)})
+    return save(half, {"games": str(games), "sha256": _digest(half, games)})
+
+
+def _digest(half: dict[str, torch.Tensor], games: int) -> str:
+    digest = hashlib.sha256(f"{games}\n".encode())
+    for name, value in sorted(half.items()):
+        digest.update(f"{name} {list(value.shape)} {value.dtype}\n".encode())
+        digest.update(value.numpy().tobytes())
+    return digest.hexdigest()
 
 
 def trained_games(path: Path) -> int:
-    """The training games behind a model.safetensors."""
-    with safe_open(path, "pt") as file:
-        return int(file.metadata()["games"])
+    """The training games behind a model.safetensors. Raises RunError if it cannot be read."""
+    return _open(path)[0]
 
 
 def read_model(path: Path) -> dict[str, torch.Tensor]:
-    """The weights in a model.safetensors, float32."""
-    return {name: value.float() for name, value in load_file(path).items()}
+    """The weights in a model.safetensors, float32. Raises RunError if it cannot be read, or is not
+    as it was written."""
+    games, digest, half = _open(path, weights=True)
+    if digest != _digest(half, games):
+        raise RunError(f"{path} is damaged: it does not have the checksum that it was written with")
+    return {name: value.float() for name, value in half.items()}
+
+
+def _open(path: Path, weights: bool = False) -> tuple[int, str, dict[str, torch.Tensor]]:
+    """The games of training, the checksum and, if they are asked for, the weights as stored."""
+    try:
+        with safe_open(path, "pt") as file:
+            about = file.metadata() or {}
+            half = {name: file.get_tensor(name) for name in file.keys()} if weights else {}  # noqa: SIM118
+            return int(about["games"]), about["sha256"], half
+    except KeyError as error:
+        raise RunError(f"{path} cannot be read: it does not say its {error}") from None
+    except (SafetensorError, OSError, ValueError) as error:
+        raise RunError(f"{path} cannot be read: {str(error).splitlines()[0]}") from None
 
 
 def load_model(path: Path, parameters: Parameters) -> nn.Module:
@@ -60,11 +86,10 @@ def initial_weights(run: Run) -> dict[str, torch.Tensor] | None:
         return None
     if source.state() != COMPLETE:
         raise RunError(f"{run.name} starts from {source.name}, which is {source.state()}")
-    path = source.folder / "model.safetensors"
     try:
-        return read_model(path)
-    except (SafetensorError, OSError) as error:
-        raise RunError(f"{path}, which {run.name} starts from: {error}") from None
+        return read_model(source.folder / "model.safetensors")
+    except RunError as error:
+        raise RunError(f"{run.name} starts from {source.name}: {error}") from None
 
 
 def stored_agent(folder: Path, overrides: dict[str, Any]) -> tuple[nn.Module, Parameters]:
@@ -75,5 +100,7 @@ def stored_agent(folder: Path, overrides: dict[str, Any]) -> tuple[nn.Module, Pa
     parameters = params.parse({**values, **overrides}, str(folder / "params.yaml"))
     try:
         return load_model(path, parameters), parameters
-    except (SafetensorError, RuntimeError) as error:
+    except RunError:
+        raise
+    except RuntimeError as error:  # of PyTorch: weights of another network
         raise RunError(f"{path} cannot be read: {str(error).splitlines()[0]}") from None

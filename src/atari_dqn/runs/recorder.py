@@ -100,6 +100,8 @@ def train(
         except Exception as error:
             with suppress(RunError):  # a full disk must not hide the error itself
                 recorder.write_status(FAILED, error=f"{type(error).__name__}: {error}")
+            if isinstance(error, FloatingPointError):
+                raise RunError(f"{run.name}: {error} (its last checkpoint is kept)") from None
             raise
         finally:
             recorder.close()
