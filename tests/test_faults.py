@@ -55,7 +55,7 @@ def test_a_flipped_bit_of_a_models_weights_is_noticed(tmp_path, model, place):
 
 def test_a_flipped_bit_of_the_number_of_its_games_is_noticed(tmp_path, model):
     path = tmp_path / "model.safetensors"
-    path.write_bytes(model.replace(b'"3000"', b'"2000"', 1))
+    path.write_bytes(model.replace(b" 3000", b" 2000", 1))
     assert models.trained_games(path) == 2000
     with pytest.raises(RunError, match="does not have the checksum"):
         models.read_model(path)

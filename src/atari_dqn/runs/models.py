@@ -2,6 +2,7 @@
 says after how many games of training."""
 
 import hashlib
+import json
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,8 @@ def model_bytes(weights: dict[str, torch.Tensor], games: int) -> bytes:
     """The contents of a model.safetensors: the weights as float16, and beside them the games of
     training and the checksum of both."""
     half = {name: value.half().contiguous() for name, value in weights.items()}
-    return save(half, {"games": str(games), "sha256": _digest(half, games)})
+    about = {"games": games, "sha256": _digest(half, games)}
+    return save(half, {"about": json.dumps(about)})  # one entry: safetensors' order is random
 
 
 def _digest(half: dict[str, torch.Tensor], games: int) -> str:
@@ -51,7 +53,7 @@ def _open(path: Path, weights: bool = False) -> tuple[int, str, dict[str, torch.
     """The games of training, the checksum and, if they are asked for, the weights as stored."""
     try:
         with safe_open(path, "pt") as file:
-            about = file.metadata() or {}
+            about = json.loads((file.metadata() or {})["about"])
             half = {name: file.get_tensor(name) for name in file.keys()} if weights else {}  # noqa: SIM118
             return int(about["games"]), about["sha256"], half
     except KeyError as error:
