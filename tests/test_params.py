@@ -55,7 +55,8 @@ def test_every_value_in_a_committed_file_has_its_unit_beside_it(path):
 def test_small_versions_say_only_how_they_are_smaller():
     size = {
         *("profile", "agents", "episodes", "max_game_frames", "replay_capacity"),
-        *("learning_starts", "update_period", "target_update_period", "epsilon_decay"),
+        *("batch_size", "learning_starts", "update_period", "target_update_period"),
+        "epsilon_decay",
         *("warmup_games", "snapshot_games", "evaluation_games", "variations"),
     }
     for profile in ("quick", "smoke"):
