@@ -351,9 +351,6 @@ def show_variations(section: Section, reference: Section, agent: str) -> None:
     )
 
 
-OPENINGS = (500, 100)  # training games, and agent steps from their start, that are compared
-
-
 def show_learning_style(section: Section) -> None:
     """How the agents box along their training."""
     label = f"fig-{section.slug}-style"

@@ -58,7 +58,7 @@ def _open(path: Path, weights: bool = False) -> tuple[int, str, dict[str, torch.
             return int(about["games"]), about["sha256"], half
     except KeyError as error:
         raise RunError(f"{path} cannot be read: it does not say its {error}") from None
-    except (SafetensorError, OSError, ValueError) as error:
+    except (SafetensorError, OSError, ValueError, TypeError) as error:
         raise RunError(f"{path} cannot be read: {str(error).splitlines()[0]}") from None
 
 
