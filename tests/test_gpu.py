@@ -8,6 +8,8 @@ import torch
 from atari_dqn import gpu
 from atari_dqn.agents import AGENTS, Learner
 from atari_dqn.envs import VectorEnv
+from atari_dqn.runs import models, recorder
+from atari_dqn.runs.run import Run
 
 
 class Called:
@@ -134,3 +136,14 @@ def test_q_values_of_all_games_and_of_any_other_number(small, device):
             states = compressed.sample(count).s_t
             found = learner.q_values(states)
             np.testing.assert_allclose(found, reference.q_values(states), rtol=1e-3, atol=1e-5)
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="without one this is any run")
+def test_a_run_on_a_gpu_is_trained_to_its_end(small, tmp_path):
+    run = Run(small(device="cuda", snapshot_games=[1], emulator_processes=2), tmp_path)
+    recorder.train(run, None)
+    assert run.state() == "complete"
+    assert models.trained_games(run.folder / "model.safetensors") == run.params.episodes
+    assert [path.name for path in (run.folder / "snapshots").iterdir()] == [
+        "games-00001.safetensors"
+    ]

@@ -244,11 +244,13 @@ def stop(run, how, interval, games=2):
     )
     run.results.mkdir()
     path = write(run.results, run.params)
-    process = subprocess.Popen([sys.executable, "-c", program, str(path), str(run.results)])
+    process = subprocess.Popen(
+        [sys.executable, "-c", program, str(path), str(run.results)], start_new_session=True
+    )
     while not checkpoints.exist(run.state_folder) or run.status()["episodes_done"] < games:
         assert process.poll() is None, "ended before it could be stopped"
         time.sleep(0.02)
-    process.send_signal(how)
+    os.killpg(process.pid, how)  # as a terminal does, and `timeout`
     process.wait()
 
 
@@ -298,9 +300,10 @@ def test_no_room_for_a_row_is_a_clear_error_and_the_run_continues_later(
     assert_same_results(run.folder, unstopped)
 
 
-@pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGINT])
-def test_a_run_told_to_stop_saves_where_it_is_and_says_so(tmp_path, unstopped, how):
-    run = Run(STOPPED, tmp_path / "stopped")
+@pytest.mark.parametrize(("how", "processes"), [(signal.SIGTERM, 2), (signal.SIGINT, 1)])
+def test_a_run_told_to_stop_saves_where_it_is_and_says_so(tmp_path, unstopped, how, processes):
+    stopped = STOPPED.model_copy(update={"emulator_processes": processes})
+    run = Run(stopped, tmp_path / "stopped")
     stop(run, how, interval=3600.0)
     status, saved = run.status(), checkpoints.load(run.state_folder)
     assert status["state"] == "interrupted"

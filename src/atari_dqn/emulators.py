@@ -5,7 +5,7 @@ Each process steps a share of the games in turn, the run's own process the first
 bit for bit, what `envs.VectorEnv` does alone.
 """
 
-import signal
+import os
 from itertools import pairwise
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
@@ -120,7 +120,7 @@ class _Process:
 def _serve(
     connection: Connection, params: Parameters, seed: np.random.SeedSequence, games: slice
 ) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the run to obey, which then ends
+    os.setpgrp()  # Ctrl-C and what else is sent to a whole group is for the run to obey
     envs = VectorEnv(params, seed, games)
     connection.send(envs.planes)
     while True:

@@ -22,7 +22,7 @@ from atari_dqn.runs.run import COMPLETE, Run
 def model_bytes(weights: dict[str, torch.Tensor], games: int) -> bytes:
     """The contents of a model.safetensors: the weights as float16, and beside them the games of
     training and the checksum of both."""
-    half = {name: value.half().contiguous() for name, value in weights.items()}
+    half = {name: value.half().cpu().contiguous() for name, value in weights.items()}
     about = {"games": games, "sha256": _digest(half, games)}
     return save(half, {"about": json.dumps(about)})  # one entry: safetensors' order is random
 

@@ -1,6 +1,7 @@
 """Checking values while a run trains: in turn with training, or, where the run has several
 processes, in another one meanwhile."""
 
+import os
 from collections import deque
 from concurrent.futures import Future, ProcessPoolExecutor
 from multiprocessing import get_context
@@ -28,7 +29,7 @@ class ValueChecks:
         self.states: np.ndarray | None = None
         self.pool: ProcessPoolExecutor | None = None
         if params.emulator_processes > 1:
-            self.pool = ProcessPoolExecutor(1, get_context("spawn"), prepare_process)
+            self.pool = ProcessPoolExecutor(1, get_context("spawn"), _prepare)
 
     def ask(self, learner: Learner | NativeLearner, episode: int) -> None:
         """For a check of the learner's weights as they are after so many games."""
@@ -54,6 +55,11 @@ class ValueChecks:
     def close(self) -> None:
         if self.pool is not None:
             self.pool.shutdown(cancel_futures=True)
+
+
+def _prepare() -> None:
+    os.setpgrp()  # Ctrl-C and what else is sent to a whole group is for the run to obey
+    prepare_process()
 
 
 def _check_weights(
