@@ -204,10 +204,20 @@ def test_the_share_of_an_experiment_is_of_all_its_runs_games(tmp_path):
 def test_the_speed_on_a_gpu_is_that_of_the_slowest_and_the_fastest_run(folder, shown):
     cost.show_gpu()
     assert not shown.texts
-    for agent, steps in ((DQN, 90_000), (DOUBLE, 60_000)):
-        run = {"agent_steps": [10, steps], "seconds": [5.0, 60.0]}
-        pd.DataFrame(run).to_csv(folder / f"gpu_any_{agent}.csv", index=False)
     machine = {"gpu": "a card", "cores": 16, "emulator_processes": 3}
-    (folder / "gpu.json").write_text(json.dumps(machine))
+    runs = [(1, DQN, 90_000, 60.0), (1, DOUBLE, 120_000, 120.0), (2, DQN, 60_000, 30.0)]
+    pd.DataFrame(
+        {
+            "batch": batch,
+            **machine,
+            "experiment": "boxing_final",
+            "agent": agent,
+            "agent_steps": steps,
+            "seconds": seconds,
+        }
+        for batch, agent, steps, seconds in runs
+    ).to_csv(folder / "gpu.csv", index=False)
     cost.show_gpu()
-    assert numbers(shown.texts[0])[:7] == [16, 2, 3, 1000, 1500, 2500, 1]
+    first, second, _ = shown.texts
+    assert numbers(first) == [16, 2, 3, 1000, 1500, 2500, 1, 2]
+    assert numbers(second)[:6] == [16, 1, 3, 2000, 2000, 2000]

@@ -123,20 +123,23 @@ def _gain_of_cores(ours: pd.DataFrame, cores: int) -> str:
 
 def show_gpu() -> None:
     """The speed of runs that began on a GPU."""
-    found = sorted((project_root() / FOLDER).glob("gpu_*.csv"))
-    if not found:
+    path = project_root() / FOLDER / "gpu.csv"
+    if not path.exists():
         return
-    machine = json.loads((project_root() / FOLDER / "gpu.json").read_text())
-    runs = [pd.read_csv(path).iloc[-1] for path in found]  # as of their last games there
-    speeds = [run.agent_steps / run.seconds for run in runs]
+    runs = pd.read_csv(path)  # as of their last games there
+    for _, side_by_side in runs.groupby("batch"):
+        machine = side_by_side.iloc[0]
+        speeds = side_by_side.agent_steps / side_by_side.seconds
+        show_text(
+            f"On an {machine.gpu}, with {machine.cores} processor cores, {len(speeds)} runs went "
+            f"side by side, {machine.emulator_processes} emulator processes each: they made "
+            f"{min(speeds):,.0f} to {max(speeds):,.0f} agent steps per second each, together "
+            f"{sum(speeds):,.0f}, and stayed for {min(side_by_side.seconds) / 60:.0f} to "
+            f"{max(side_by_side.seconds) / 60:.0f} minutes."
+        )
     show_text(
-        f"On an {machine['gpu']}, with {machine['cores']} processor cores, {len(runs)} runs were "
-        f"begun side by side, {machine['emulator_processes']} emulator processes each: they made "
-        f"{min(speeds):,.0f} to {max(speeds):,.0f} agent steps per second each, together "
-        f"{sum(speeds):,.0f}, until the time on that machine was over after "
-        f"{min(run.seconds for run in runs) / 60:.0f} minutes. They went on from there on a "
-        "processor core each (@tbl-provenance), with the images of their replay memories played "
-        "again from the records of their games."
+        "From there these runs went on on a processor core each (@tbl-provenance), with the "
+        "images of their replay memories played again from the records of their games."
     )
 
 
