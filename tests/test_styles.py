@@ -48,6 +48,30 @@ def memories(record):
         yield ale.getRAM().astype(int)
 
 
+def punches(memories):
+    """How often either arm goes out past a third of its way; a blow taken sets both to 41."""
+    return sum(
+        before[arm] <= 24 < after[arm]
+        for before, after in pairwise(memories)
+        for arm in (55, 57)
+        if not after[55] == after[57] == 41
+    )
+
+
+def test_every_blow_that_lands_is_a_punch(small, tmp_path):
+    """A boxer that holds the button down never rests both of its arms."""
+    run = Run(params.pick(small(max_game_frames=4000), "double_dqn", 1), tmp_path)
+    run.folder.mkdir(parents=True)
+    towards = bytes([14] * 40 + [1] * 400)  # down and left of where it starts, then only punching
+    heading = {"kind": "values", "episode": 100, "game": 0}
+    (run.folder / records.FILE).write_bytes(
+        records.encode([(heading, EpisodeRecord(1, towards, None))])
+    )
+    styles.measure(run)
+    row = pd.read_csv(run.styles).iloc[0]
+    assert row.punches > row.scored > 0
+
+
 def test_each_greedy_episode_has_a_row_with_what_the_memory_says(run):
     styles.measure(run)
     table = pd.read_csv(run.styles)
@@ -60,9 +84,7 @@ def test_each_greedy_episode_has_a_row_with_what_the_memory_says(run):
         near = (abs(x - rival_x) <= 30) & (abs(y - rival_y) <= 30)
         assert row.reach == pytest.approx(near.mean())
         assert row.distance == pytest.approx(np.hypot(x - rival_x, y - rival_y).mean())
-        out = [bool(one[55] or one[57]) for one in (before, *after)]
-        assert row.punches == sum(late and not soon for soon, late in pairwise(out))
-        assert row.punches > 0
+        assert row.punches == punches([before, *after]) > 0
         points = [10 * (cell >> 4) + (cell & 15) for cell in (after[-1][18], after[-1][19])]
         assert [row.scored, row.conceded] == points
         assert row.score == points[0] - points[1]

@@ -19,7 +19,9 @@ from atari_dqn.runs.run import Run
 EXPERIMENTS = ("boxing_low_gamma", "boxing_final", "boxing_high_gamma")
 AGENT = "dueling_double_dqn"
 FINAL = "boxing_final"
-ARMS = (55, 57)  # memory cells: how far each of the agent's arms is out
+ARMS = (55, 57)  # memory cells: how far each of the agent's arms is out, 0 to 72
+OUT = 24  # from where on a punch is counted: an arm is farther out for longer than a step lasts
+STRUCK = 41  # what both arms are set to by a blow that the agent takes
 REACH = 30  # pixels to the side, and up or down, beyond which no punch lands (results/benchmarks/
 # punches.csv)
 
@@ -35,7 +37,7 @@ class Style:
     score: float  # points
     scored: float  # points of the agent alone
     conceded: float  # points of its rival
-    punches: int  # that the agent threw
+    punches: int  # that the agent threw, landed or not
     reach: float  # share of the steps in which a punch could have landed
     distance: float  # pixels between the boxers, mean over the steps
 
@@ -69,16 +71,17 @@ def _style(
     params: Parameters, episode: int, game: int, digest: str, record: EpisodeRecord
 ) -> Style:
     boxers = np.array(GAMES[params.game].boxers)
-    punches, rested, reached, distances = 0, True, [], []
+    punches, extended, reached, distances = 0, np.zeros(2, bool), [], []
     for env in records.replay(params, record):
         memory = env.ram().astype(int)
-        resting = not memory[list(ARMS)].any()
+        arms = memory[list(ARMS)]
+        before, extended = extended, arms > OUT
         if env.length:
-            punches += rested and not resting
+            if (arms != STRUCK).any():
+                punches += int((extended & ~before).sum())
             gaps = np.abs(memory[boxers[0]] - memory[boxers[1]])
             reached.append(bool((gaps <= REACH).all()))
             distances.append(env.distance())
-        rested = resting
     scored, conceded = env.points()
     return Style(
         episode,
