@@ -251,15 +251,38 @@ def test_the_styles_along_training_have_a_panel_per_measure_and_a_line_per_agent
         style(run, np.zeros(3), **how, conceded=2 * curve)
     results.show_learning_style(study(tmp_path)["boxing_final"])
     panels = shown.figures["fig-boxing-final-style"].axes
-    for axes, factor in zip(panels, (10, 10, 0.5, 1), strict=True):  # an episode lasts two minutes
+    # an episode lasts two minutes; whoever punches more scores less per punch here
+    for axes, factor in zip(panels, (10, 10, 0.5, None, None, 1), strict=True):
+        if factor is None:
+            continue
         lines = {line.get_label(): line.get_xydata() for line in axes.get_lines()}
         assert list(lines) == ["DQN", "Double DQN"]
         for name, base in (("DQN", 2.0), ("Double DQN", 1.0)):
             assert lines[name][:, 0].tolist() == [100, 200, 300]
             assert lines[name][:, 1] == pytest.approx(factor * base * np.array([1.0, 2.0, 3.0]))
     titles = [axes.get_title(loc="left") for axes in panels]
-    words = ("distance", "reach", "punches", "conceded")
+    words = ("distance", "reach", "punches", "per punch", "scored", "conceded")
     assert all(word in title for word, title in zip(words, titles, strict=True))
+    assert "#tbl-boxing-final-style .absent" in shown.texts[-1], "three checks are too few"
+
+
+def test_a_change_of_style_is_told_with_the_games_after_which_half_of_it_is_done(tmp_path, shown):
+    run = store(tmp_path, "boxing_final", DQN, np.zeros(2000))
+    rise = np.repeat([1.0, 2.0], [8, 12]) + np.tile([-0.01, 0.01, 0, -0.01, 0.01], 4)
+    flat = np.tile([4.0, 6.0], 10)
+    how = {"scored": 40.0 * rise, "punches": 20 * rise, "reach": 0.5 * rise, "distance": 10 * flat}
+    style(run, np.zeros(20), **how, conceded=2 * flat)
+    section = study(tmp_path)["boxing_final"]
+    results.show_learning_style(section)
+    rows = {row["measure"]: list(row.values()) for row in shown.tables["tbl-boxing-final-style"]}
+    # five checks of 1 (8 there are) and five of 2, smoothed over five: 1.6 at the 9th
+    assert rows["punches thrown per minute"][2:4] == ["10.0", "20.0"]
+    assert rows["punches thrown per minute"][-1] == "900 games"
+    assert rows["time within reach (%)"][2:4] == ["50.0", "100.0"]
+    assert rows["points scored per punch"][2:] == ["2.0", "2.0", "+0.0 to +0.0", "no clear change"]
+    assert rows["distance of the boxers (pixels)"][-1] == "no clear change"
+    low, high = numbers(rows["points conceded per minute"][4])
+    assert low < 0 < high
 
 
 def test_an_empty_place_gives_a_reason_where_no_badge_does(tmp_path, shown):

@@ -150,13 +150,15 @@ class Section:
     @cached_property
     def styles(self) -> pd.DataFrame:
         """How the agents box in the checks of greedy play along their training, a row per greedy
-        episode: `runs.styles.Style`, agent, seed, and what it counts per minute."""
+        episode: `runs.styles.Style`, agent, seed, what it counts per minute, and per punch."""
         table = self._beside("styles")
         if table.empty:
             return table
         minutes = table.frames / FRAMES_PER_MINUTE
         counted = ("scored", "conceded", "punches")
-        return table.assign(**{f"{name}_per_minute": table[name] / minutes for name in counted})
+        rates = {f"{name}_per_minute": table[name] / minutes for name in counted}
+        thrown = table.punches.where(table.punches > 0)  # nan for an episode without any
+        return table.assign(**rates, points_per_punch=table.scored / thrown)
 
     @cached_property
     def robustness(self) -> pd.DataFrame:

@@ -17,6 +17,7 @@ from atari_dqn.analysis.statistics import (
     likeness,
     stratified_interval,
     trailing_mean,
+    welch_interval,
 )
 from atari_dqn.analysis.study import FRAMES_PER_MINUTE, Section, Study, data
 from atari_dqn.analysis.verdicts import (
@@ -457,6 +458,52 @@ def _ending(games: pd.DataFrame, full: int) -> pd.Series:
             "points per minute": games.score.sum() / minutes,
         }
     )
+
+
+STYLE_MEASURES = {
+    "distance": "distance of the boxers (pixels)",
+    "reach": "time within reach (%)",
+    "punches_per_minute": "punches thrown per minute",
+    "points_per_punch": "points scored per punch",
+    "scored_per_minute": "points scored per minute",
+    "conceded_per_minute": "points conceded per minute",
+}
+CHECKS = 5  # of greedy play, at either end of training, that are compared
+
+
+def style_changes(section: Section) -> pd.DataFrame:
+    """What changes in how agents box, from their first checks of greedy play to their last:
+    columns agent, seed, measure (of `Section.styles`), first, last, the 95% interval of the change
+    (low, high; Welch's, over checks) and half_way: the training episodes after which the measure,
+    smoothed over as many checks, has gone half of its way; none where the interval holds zero."""
+    rows: list[dict[str, object]] = []
+    if section.styles.empty:
+        return pd.DataFrame(rows)
+    for (agent, seed), own in section.styles.groupby(["agent", "seed"], sort=False):
+        percent = own.assign(reach=100 * own.reach)
+        checks = percent.groupby("episode")[list(STYLE_MEASURES)].mean()
+        if len(checks) < 2 * CHECKS:
+            continue
+        for measure in STYLE_MEASURES:
+            series = checks[measure]
+            first, last = series.iloc[:CHECKS], series.iloc[-CHECKS:]
+            low, high = welch_interval(last.to_numpy(), first.to_numpy())
+            way = (series.rolling(CHECKS, center=True).mean() - first.mean()) / (
+                last.mean() - first.mean() or np.nan
+            )
+            rows.append(
+                {
+                    "agent": agent,
+                    "seed": seed,
+                    "measure": measure,
+                    "first": first.mean(),
+                    "last": last.mean(),
+                    "low": low,
+                    "high": high,
+                    "half_way": None if low <= 0 <= high else int((way >= 0.5).idxmax()),
+                }
+            )
+    return pd.DataFrame(rows)
 
 
 def values_reading(section: Section) -> str:

@@ -26,6 +26,7 @@ from scipy import stats
 from atari_dqn import params
 from atari_dqn.analysis.statistics import interval, trailing_mean
 from atari_dqn.analysis.study import spelled
+from atari_dqn.analysis.summaries import STYLE_MEASURES
 from atari_dqn.envs import SIZE, AtariEnv
 from atari_dqn.games import GAMES, GameFacts
 from atari_dqn.report.interactive import BESIDE, named
@@ -366,19 +367,11 @@ def value_errors(values: pd.DataFrame) -> Figure:
     return figure
 
 
-STYLE_PANELS = {
-    "distance": "distance of the boxers (pixels)",
-    "reach": "time within reach (%)",
-    "punches_per_minute": "punches thrown per minute",
-    "conceded_per_minute": "points conceded per minute",
-}
-
-
 def styles_along(styles: pd.DataFrame) -> Figure:
     """How agents box against training episodes, a panel per measure: `Section.styles`."""
-    figure, panels = plt.subplots(2, 2, sharex=True, figsize=(WIDTH, 4.6))
+    figure, panels = plt.subplots(3, 2, sharex=True, figsize=(WIDTH, 6.4))
     percent = styles.assign(reach=100 * styles.reach)
-    for axes, (column, title) in zip(panels.flat, STYLE_PANELS.items(), strict=True):
+    for axes, (column, title) in zip(panels.flat, STYLE_MEASURES.items(), strict=True):
         for agent in agents_of(styles):
             own = percent[percent.agent == agent].groupby("episode")[column].mean()
             name, (colour, line) = params.title(agent), STYLES[agent]
@@ -386,13 +379,13 @@ def styles_along(styles: pd.DataFrame) -> Figure:
             named(drawn, name, value=name)
         axes.set_title(title, fontsize="medium", loc="left")
         axes.set(ylim=(0, None), xlim=(0, None))
-    for axes in panels[1]:
+    for axes in panels[-1]:
         axes.set_xlabel("training games")
     titles = [params.title(agent) for agent in agents_of(styles)]
     figure.legend(
         panels.flat[0].get_lines(), titles, loc="upper left", ncols=3, bbox_to_anchor=(0.06, 1.0)
     )
-    figure.tight_layout(rect=(0, 0, 1, 0.94))
+    figure.tight_layout(rect=(0, 0, 1, 0.96))
     return figure
 
 

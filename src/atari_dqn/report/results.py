@@ -353,18 +353,45 @@ def show_variations(section: Section, reference: Section, agent: str) -> None:
 
 def show_learning_style(section: Section) -> None:
     """How the agents box along their training."""
-    label = f"fig-{section.slug}-style"
+    label, table = f"fig-{section.slug}-style", f"tbl-{section.slug}-style"
     if section.styles.empty:
-        show_placeholders(label)
+        show_placeholders(label, table)
         return
     show_figure(
         plots.styles_along(section.styles),
         label=label,
         caption=f"How the agents box along their training, in the {VALUE_GAMES} greedy games after "
         f"every {VALUES_PERIOD} training games: means, of what the console's memory says.",
-        alt="Four panels against training games: distance of the boxers, share of the time within "
-        "reach, punches thrown per minute, and points conceded per minute; a line per agent.",
+        alt="Six panels against training games: distance of the boxers, share of the time within "
+        "reach, punches thrown per minute, points per punch, and points scored and conceded per "
+        "minute; a line per agent.",
         data=f"results/styles/{section.params.experiment}/",
+    )
+    changes = summaries.style_changes(section)
+    if changes.empty:
+        show_absent(table, f"No run has {2 * summaries.CHECKS} checks of greedy play yet.")
+        return
+    rows = {
+        "agent": changes.agent.map(params.title),
+        "seed": changes.seed,
+        "measure": changes.measure.map(summaries.STYLE_MEASURES),
+        "first": changes["first"],
+        "last": changes["last"],
+        "change (95%)": [f"{row.low:+.1f} to {row.high:+.1f}" for row in changes.itertuples()],
+        "half-way after": [
+            "no clear change" if pd.isna(games) else f"{games:,.0f} games"
+            for games in changes.half_way
+        ],
+    }
+    shown = pd.DataFrame(rows)
+    show_table(
+        shown.drop(columns="seed") if len(section.params.seeds) == 1 else shown,
+        label=table,
+        caption=f"What changes in how the agents box: means of the first and of the last "
+        f"{summaries.CHECKS} checks of greedy play, and after how many training games a measure "
+        "has gone half of the way between them. Intervals are over checks of one run (Welch's t), "
+        "not over seeds.",
+        decimals=1,
     )
 
 
