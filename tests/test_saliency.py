@@ -57,3 +57,24 @@ def test_the_shares_of_the_parts_are_those_of_the_sum():
     score[1, 10], ring[12, 9], rope[12, 1] = 1, 5, 2
     found = saliency.shares([score, ring, rope])
     assert found == pytest.approx({"score and clock": 12.5, "ring": 62.5, "elsewhere": 25})
+
+
+def test_the_spreads_are_those_of_the_states_and_of_the_actions_in_them():
+    class Known(nn.Module):
+        """The state's value is the brightness, and the actions lie 1, 0 and -4 around it, moved."""
+
+        def __init__(self):
+            super().__init__()
+            self.unused = nn.Parameter(torch.zeros(1))
+
+        def forward(self, observations):
+            state = observations[:, 0, 0, -1].float()
+            return state[:, None] + torch.tensor([2.0, 1.0, -3.0])
+
+    observations = np.zeros((600, 84, 84, 4), np.uint8)
+    observations[::2, 0, 0, -1] = 20
+    found = saliency.spreads(Known(), observations)
+    within = np.var([2.0, 1.0, -3.0])
+    assert list(found.values()) == pytest.approx(
+        [10, 10, np.sqrt(within), 1, 100 * 100 / (100 + within)]
+    )

@@ -61,6 +61,55 @@ def saliency(network: nn.Module, observation: np.ndarray) -> Saliency:
     )
 
 
+@torch.no_grad()
+def spreads(network: nn.Module, observations: np.ndarray) -> dict[str, float]:
+    """How much of a network's values is the state's, in observations [N, 84, 84, S]: Q(s, a) is
+    V(s) + A(s, a), with V the mean over the actions (Wang et al., 2016, equation 9)."""
+    device = next(network.parameters()).device
+    values = torch.cat(
+        [network(part.to(device)) for part in torch.from_numpy(observations).split(256)]
+    )  # [N, A]
+    state = values.mean(1)  # [N]
+    best = values.topk(2, dim=1).values  # [N, 2]
+    between, within = state.var(correction=0), (values - state[:, None]).pow(2).mean()
+    return {
+        "value of a state": state.mean().item(),
+        "spread between states": between.sqrt().item(),
+        "spread between actions": within.sqrt().item(),
+        "gap of the best two": (best[:, 0] - best[:, 1]).mean().item(),
+        "the state's share, %": 100 * (between / (between + within)).item(),
+    }
+
+
+def show_spreads(section: Section) -> pd.DataFrame:
+    """How far apart values lie between the states of a game, and between the actions in one;
+    returns the table."""
+    table, rows = f"tbl-{section.slug}-spreads", []
+    for run in section.usable:
+        if record := first_evaluated(run):
+            game, stack = trajectory(run.params, record), run.params.frame_stack
+            seen = np.stack(
+                [observation_at(game, step, stack) for step in range(len(game.actions))]
+            )
+            network = models.load_model(run.folder / "model.safetensors", run.params)
+            seed = {"seed": run.seed} if len(section.params.seeds) > 1 else {}
+            rows.append({"agent": params.title(run.agent), **seed, **spreads(network, seen)})
+    found = pd.DataFrame(rows)
+    if found.empty:
+        show_placeholders(table)
+        return found
+    show_table(
+        found,
+        label=table,
+        caption=f"{section.title}: how much of an agent's values is the state's, in every state of "
+        "its first evaluation game: the mean value of a state, standard deviations of the states' "
+        "values and of the actions' around them, how far the best action is above the second, and "
+        "the part of the values' variance that lies between states.",
+        decimals=2,
+    )
+    return found
+
+
 def observation_at(game: Trajectory, step: int, stack: int) -> np.ndarray:
     """What an agent sees of a game before agent step `step` (0, 1, ...): bytes [84, 84, stack]."""
     return np.stack([game.observations[max(0, step - back)] for back in reversed(range(stack))], -1)
