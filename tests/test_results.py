@@ -106,21 +106,22 @@ def test_games_of_breakout_are_not_won_by_knock_out(tmp_path, shown):
     results.show_evaluations(study(tmp_path)["breakout_final"])
     (row,) = shown.tables["tbl-breakout-final-evaluation"]
     assert row["mean score"] == "30.0"
-    assert not {"won", "by knock-out"} & set(row)
+    assert not {"won", "by knock-out", "in seconds"} & set(row)
 
 
 def test_conditions_are_rows_of_their_own(tmp_path, shown):
     run = store(tmp_path, "boxing_expert", DQN, np.zeros(1000))
     evaluate(run, score=50.0)
-    evaluate(run, add=True, score=40.0, difficulty=1, knockout=KNOCKED, games=40)
+    frames = [3000, 4200] * 5 + [7200] * 30  # of which the first ten are knock-outs
+    evaluate(run, add=True, score=40.0, difficulty=1, knockout=KNOCKED, games=40, frames=frames)
     evaluate(run, add=True, score=30.0, sticky_actions=0.25, won=False, games=10)
     results.show_conditions(study(tmp_path)["boxing_expert"])
     rows = shown.tables["tbl-boxing-expert-conditions"]
-    columns = ("difficulty", "sticky", "mean score", "won", "by knock-out")
+    columns = ("difficulty", "sticky", "mean score", "won", "by knock-out", "in seconds")
     assert [tuple(row[name] for name in columns) for row in rows] == [
-        ("3", "0", "50.0", "100%", "0%"),
-        ("1", "0", "40.0", "100%", "25%"),
-        ("3", "0.25", "30.0", "0%", "0%"),
+        ("3", "0", "50.0", "100%", "0%", "–"),
+        ("1", "0", "40.0", "100%", "25%", "60"),
+        ("3", "0.25", "30.0", "0%", "0%", "–"),
     ]
     assert numbers(shown.captions["tbl-boxing-expert-conditions"])[:2] == [3, 0], "as trained"
 

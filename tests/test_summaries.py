@@ -281,6 +281,15 @@ def test_finished_runs_are_told_of_as_finished(tmp_path):
     assert "so far" not in (headline.split("The source report makes")[0] + reading).lower()
 
 
+def test_a_run_that_was_not_evaluated_yet_is_not_said_to_have_been(tmp_path):
+    run = store(tmp_path, "boxing_final", "dqn", np.full(160, 1.0))
+    check(run, [2.0])
+    text = summaries.reading(study(tmp_path), "boxing_final")
+    assert "it scored 2.0" in text
+    assert "greedy games after game 100" in text
+    assert "Evaluated" not in text
+
+
 def test_at_another_difficulty_no_human_score_is_passed(tmp_path):
     store(tmp_path, "boxing_expert", "dqn", np.full(600, 60.0))
     text = summaries.reading(study(tmp_path), "boxing_expert")

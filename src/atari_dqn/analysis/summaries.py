@@ -411,8 +411,7 @@ def _without_exploring(evaluated: pd.DataFrame, checks: pd.DataFrame) -> str:
     checked = 0 if checks.empty else int(checks.episode.max())
     if not tried and not checked:
         return ""
-    fresh = tried >= checked - RECENT
-    if fresh:
+    if tried and tried >= checked - RECENT:
         return (
             f". Evaluated after {tried:,} training games, it scored {evaluated.score.mean():.1f} "
             f"({len(evaluated)} greedy games)"

@@ -9,7 +9,7 @@ import pandas as pd
 from atari_dqn import params
 from atari_dqn.analysis import summaries
 from atari_dqn.analysis.statistics import MILESTONES, interval, scores_at_milestones
-from atari_dqn.analysis.study import Section, data, spelled
+from atari_dqn.analysis.study import FRAMES_PER_MINUTE, Section, data, spelled
 from atari_dqn.params import HELD_OUT_STATES, VALUE_GAMES, VALUES_PERIOD
 from atari_dqn.report import plots
 from atari_dqn.report.interactive import switches
@@ -264,14 +264,19 @@ def _evaluated(section: Section, agent: str, seed: int, games: pd.DataFrame) -> 
 
 
 def _summary(section: Section, games: pd.DataFrame) -> dict:
-    """Mean score, interval, and in Boxing the shares of wins and of knock-outs."""
+    """Mean score, interval, and in Boxing the shares of wins and of knock-outs, and how long the
+    agent needs for one."""
     row = {"mean score": games.score.mean(), "95% interval": "–"}
     if len(games) > 1:
         low, high = interval(games.score.to_numpy())
         row["95% interval"] = f"{low:.1f} to {high:.1f}"
     if section.facts.knockout_cells is not None:
         row["won"] = f"{games.won.mean():.0%}"
-        row["by knock-out"] = f"{(games.knockout == 1).mean():.0%}"
+        knocked_out = games[games.knockout == 1]
+        row["by knock-out"] = f"{len(knocked_out) / len(games):.0%}"
+        row["in seconds"] = "–"
+        if len(knocked_out):
+            row["in seconds"] = f"{60 * knocked_out.frames.mean() / FRAMES_PER_MINUTE:.0f}"
     return row
 
 
