@@ -39,6 +39,7 @@ TITLES = {  # what captions call an experiment
     "boxing_transfer": "Boxing, transfer from Breakout",
     "boxing_sensitivity": "Boxing, one change at a time",
     "boxing_transfer_controls": "Boxing, controls of transfer",
+    "boxing_hardest": "Boxing, hardest setting",
 }
 
 

@@ -16,7 +16,7 @@ from atari_dqn.runs.run import COMPLETE, FAILED, INTERRUPTED, STALE, Run, read_t
 ORDER = (
     *("boxing_final", "breakout_final", "breakout_late", "boxing_expert", "boxing_early"),
     *("breakout_early", "boxing_low_gamma", "boxing_high_gamma", "boxing_transfer"),
-    *("boxing_sensitivity", "boxing_transfer_controls"),
+    *("boxing_sensitivity", "boxing_transfer_controls", "boxing_hardest"),
 )
 WAITING = "waiting"  # what `status` says of a run whose source is not complete
 DAMAGED = "damaged"  # and of one whose files cannot be read
