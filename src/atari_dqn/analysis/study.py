@@ -40,6 +40,8 @@ TITLES = {  # what captions call an experiment
     "boxing_sensitivity": "Boxing, one change at a time",
     "boxing_transfer_controls": "Boxing, controls of transfer",
     "boxing_hardest": "Boxing, hardest setting",
+    "boxing_multi_step": "Boxing, three-step returns",
+    "breakout_multi_step": "Breakout, three-step returns",
 }
 
 

@@ -17,6 +17,7 @@ ORDER = (
     *("boxing_final", "breakout_final", "breakout_late", "boxing_expert", "boxing_early"),
     *("breakout_early", "boxing_low_gamma", "boxing_high_gamma", "boxing_transfer"),
     *("boxing_sensitivity", "boxing_transfer_controls", "boxing_hardest"),
+    *("boxing_multi_step", "breakout_multi_step"),
 )
 WAITING = "waiting"  # what `status` says of a run whose source is not complete
 DAMAGED = "damaged"  # and of one whose files cannot be read
