@@ -30,7 +30,7 @@ from synthetic import (
 )
 
 from atari_dqn.analysis import claims, summaries, verdicts
-from atari_dqn.analysis.study import Section
+from atari_dqn.analysis.study import Section, openings
 
 LOUD = 5000.0  # points, of a game that must not count
 DQN, DOUBLE, DUELING = AGENTS
@@ -873,6 +873,11 @@ def test_an_evaluation_of_a_finished_run_decides_and_none_of_an_unfinished_one(t
     assert verdict(tmp_path, claim).verdict == "open", "of an unfinished model"
 
 
+# The numbers of evaluation games of ten openings, ten each: seed 1 draws one of 30 for every game
+OPENED = openings(pd.DataFrame({"seed": 1, "game": range(2000)}), settings(FINAL))
+ALIKE = np.array([np.flatnonzero(np.array(OPENED) == opening)[:10] for opening in range(1, 11)]).T
+
+
 def test_a_greedy_episode_that_repeats_others_weighs_in_the_mean_and_is_no_further_evidence(
     tmp_path,
 ):
@@ -881,11 +886,11 @@ def test_a_greedy_episode_that_repeats_others_weighs_in_the_mean_and_is_no_furth
         run = store(tmp_path, experiment, DQN, scores(50.0, length))
         evaluate(run, score=mean)
         path = run.folder / "evaluations.csv"
-        few[path] = pd.read_csv(path).head(10)
+        few[path] = pd.read_csv(path).head(10).assign(game=ALIKE[0])
         few[path].to_csv(path, index=False)
     expected = verdict(tmp_path, claim)
     for path, table in few.items():
-        repeated = pd.concat([table.assign(game=table.game + 10 * k) for k in range(10)])
+        repeated = pd.concat([table.assign(game=games) for games in ALIKE])
         repeated.to_csv(path, index=False)
     found = verdict(tmp_path, claim)
     assert found.verdict == expected.verdict == UNCLEAR

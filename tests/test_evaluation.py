@@ -4,6 +4,7 @@ import pytest
 
 from atari_dqn import evaluation
 from atari_dqn.agents import AGENTS
+from atari_dqn.analysis.study import openings
 from atari_dqn.envs import AtariEnv, make_env
 from atari_dqn.evaluation import (
     PLAYED_COLUMNS,
@@ -207,3 +208,13 @@ def test_play_style_counts_every_point_of_a_game_and_how_near_the_boxers_are(sma
     breakout = small(game="breakout", agents=["dqn"])
     (game,) = play(untrained(breakout, 4), breakout, 1, seed=0)
     assert np.isnan(game.distance)
+
+
+def test_the_opening_of_an_evaluation_game_follows_from_its_number_and_the_seed(small):
+    parameters = small(max_game_frames=40, evaluation_games=12)
+    for seed in (1, 2):
+        played = list(evaluation.play(lambda seen: np.zeros((len(seen), 18)), parameters, 12, seed))
+        table = pd.DataFrame({"seed": seed, "game": [episode.game for episode in played]})
+        drawn = [episode.record.idle_frames for episode in played]
+        assert openings(table, parameters) == drawn
+        assert len(set(drawn)) > 5

@@ -51,12 +51,25 @@ def test_welchs_interval_is_antisymmetric_and_a_point_for_constants():
     assert (low, high) == pytest.approx((expected.low, expected.high))
 
 
-def test_values_that_repeat_others_narrow_no_interval():
-    values = np.random.default_rng(0).normal(size=1000)
-    few = statistics.student_interval(np.tile(values[:10], 100), distinct=10)
-    assert few == pytest.approx(statistics.student_interval(values[:10]), rel=0.1)
-    both = statistics.welch_interval(np.tile(values[:10], 100), values, (10, 1000))
-    assert both == pytest.approx(statistics.welch_interval(values[:10], values), rel=0.1)
+def test_values_that_repeat_others_of_their_cluster_narrow_no_interval():
+    values = np.random.default_rng(0).normal(size=10)
+    repeated = statistics.by_cluster(np.tile(values, 100), np.tile(np.arange(10), 100))
+    assert sorted(repeated) == pytest.approx(sorted(values))
+
+
+def test_values_by_cluster_have_the_mean_of_all_and_an_interval_that_holds_the_truth():
+    """Clusters of different sizes, whose values resemble one another; the truth is 0."""
+    rng, held = np.random.default_rng(0), {"by cluster": 0, "as if alone": 0}
+    for _ in range(400):
+        clusters = rng.integers(30, size=100)
+        values = rng.normal(size=30)[clusters] + 0.5 * rng.normal(size=100)
+        found = statistics.by_cluster(values, clusters)
+        assert found.mean() == pytest.approx(values.mean())
+        for name, sample in (("by cluster", found), ("as if alone", values)):
+            low, high = statistics.student_interval(sample)
+            held[name] += low <= 0 <= high
+    assert 0.91 < held["by cluster"] / 400 < 0.98
+    assert held["as if alone"] / 400 < 0.85
 
 
 def test_too_few_values_make_no_interval():

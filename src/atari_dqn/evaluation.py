@@ -15,13 +15,12 @@ from torch import nn
 from atari_dqn.agents import AGENTS
 from atari_dqn.envs import SIZE, EpisodeRecord, interleave, learned_reward, make_env
 from atari_dqn.native import new_learner
-from atari_dqn.params import HELD_OUT_STATES, VALUE_GAMES, Parameters
+from atari_dqn.params import EVALUATION, HELD_OUT_STATES, VALUE_GAMES, Parameters
 from atari_dqn.schedules import epsilon_greedy
 
 Player = Callable[[np.ndarray], np.ndarray]
 
 EMULATORS = 8  # games played at once
-EVALUATION = 99  # sets the random streams of evaluation apart from those of training
 BATCH = 8  # observations a forward pass; fixed, since the last bits of Q depend on it
 
 

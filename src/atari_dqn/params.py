@@ -42,6 +42,7 @@ PROFILES: tuple[str, ...] = get_args(Profile)
 VALUES_PERIOD = 100  # training games between two
 VALUE_GAMES = 20  # greedy games behind each
 HELD_OUT_STATES = 512  # of random play, whose values are followed too
+EVALUATION = 99  # sets the random streams of evaluation apart from those of training
 
 
 # What a file may ask of its reader. Ours have two thousand bytes, and lists within two mappings.

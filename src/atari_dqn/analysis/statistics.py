@@ -74,15 +74,21 @@ def blocks(scores: np.ndarray) -> np.ndarray:
     return whole.reshape(*scores.shape[:-1], count, BLOCK).mean(axis=-1)
 
 
-def student_interval(values: np.ndarray, distinct: int | None = None) -> tuple[float, float]:
-    """95% interval of the mean (Student's t); two values at the least.
+def by_cluster(values: np.ndarray, clusters: np.ndarray) -> np.ndarray:
+    """A value per cluster, such that their mean is that of all `values`, and the interval of their
+    mean is right though values of one cluster resemble one another: the cluster's own mean, its
+    distance from the mean of all weighted by how many values it has."""
+    frame = pd.DataFrame({"value": np.asarray(values, float), "cluster": clusters})
+    found = frame.groupby("cluster").value.agg(["mean", "size"])
+    overall = frame.value.mean()
+    return np.asarray(overall + (found["mean"] - overall) * found["size"] / found["size"].mean())
 
-    `distinct` is how many of the values count, if some repeat others; by default all.
-    """
+
+def student_interval(values: np.ndarray) -> tuple[float, float]:
+    """95% interval of the mean (Student's t); two values at the least."""
     if len(values) < 2:
         raise ValueError("an interval needs at least two values")
-    number = distinct or len(values)
-    half = np.std(values, ddof=1) / np.sqrt(number) * stats.t.ppf(0.975, max(number - 1, 1))
+    half = np.std(values, ddof=1) / np.sqrt(len(values)) * stats.t.ppf(0.975, len(values) - 1)
     return float(np.mean(values) - half), float(np.mean(values) + half)
 
 
@@ -144,22 +150,19 @@ def _noise(values: np.ndarray) -> np.ndarray:
     return values - np.polynomial.Polynomial.fit(times, values, 1)(times)
 
 
-def welch_interval(
-    first: np.ndarray, second: np.ndarray, distinct: tuple[int, int] | None = None
-) -> tuple[float, float]:
+def welch_interval(first: np.ndarray, second: np.ndarray) -> tuple[float, float]:
     """95% interval of the difference of two independent means (Welch's t).
 
-    `distinct` is how many values of each side count, if some repeat others; by default all.
     Raises ValueError if either has fewer than two values.
     """
     if min(len(first), len(second)) < 2:
         raise ValueError("a difference needs at least two values on each side")
     gap = float(np.mean(first) - np.mean(second))
-    numbers = np.array(distinct or (len(first), len(second)))
+    numbers = np.array([len(first), len(second)])
     errors = np.array([np.var(first, ddof=1), np.var(second, ddof=1)]) / numbers  # squared
     if not errors.any():
         return gap, gap
-    freedom = errors.sum() ** 2 / (errors**2 / np.maximum(numbers - 1, 1)).sum()
+    freedom = errors.sum() ** 2 / (errors**2 / (numbers - 1)).sum()
     half = float(stats.t.ppf(0.975, freedom) * np.sqrt(errors.sum()))
     return gap - half, gap + half
 

@@ -1,7 +1,7 @@
 """The stored runs that a section of the report is about."""
 
 import copy
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,7 @@ from ruamel.yaml import YAML
 from atari_dqn import params
 from atari_dqn.analysis.statistics import MILESTONES
 from atari_dqn.games import GAMES, GameFacts
-from atari_dqn.params import Parameters
+from atari_dqn.params import EVALUATION, Parameters
 from atari_dqn.runs import plan
 from atari_dqn.runs.files import project_root, results_folder
 from atari_dqn.runs.run import (
@@ -56,6 +56,23 @@ def spelled(variation: str) -> str:
     for plain, sign in {" x ": " × ", "1/4": "¼", "1/2": "½"}.items():
         variation = variation.replace(plain, sign)
     return variation
+
+
+def openings(games: pd.DataFrame, parameters: Parameters) -> list[int]:
+    """The idle frames with which evaluation games (columns seed and game) begin, as
+    `evaluation.EpisodeInProgress` draws them. Games of one opening resemble one another: greedy
+    ones differ by their few random moves only."""
+    return [
+        _opening(parameters.noop_max, *each) for each in zip(games.seed, games.game, strict=True)
+    ]
+
+
+@cache
+def _opening(noop_max: int, seed: int, game: int) -> int:
+    stream = np.random.SeedSequence(seed, spawn_key=(EVALUATION, game)).generate_state(2)[0]
+    given = np.random.SeedSequence(int(stream)).generate_state(1)[0]  # as Gymnasium seeds a game
+    rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(int(given))))
+    return int(rng.integers(1, noop_max + 1)) if noop_max else 0
 
 
 class Section:
@@ -137,8 +154,10 @@ class Section:
 
     @cached_property
     def stored_evaluations(self) -> pd.DataFrame:
-        """A row per evaluation game, of whichever of a run's models and however played."""
-        return read_table(self.usable, "evaluations.csv")
+        """A row per evaluation game, of whichever of a run's models and however played, and the
+        opening that it begins with."""
+        table = read_table(self.usable, "evaluations.csv")
+        return table if table.empty else table.assign(opening=openings(table, self.params))
 
     @cached_property
     def all_evaluations(self) -> pd.DataFrame:

@@ -11,6 +11,7 @@ from atari_dqn.analysis.statistics import (
     BLOCK,
     MILESTONES,
     blocks,
+    by_cluster,
     coverage,
     interval,
     iqm,
@@ -238,7 +239,7 @@ def head_start(study: Study, experiment: str, base: str) -> str:
         played = pd.concat([each.random_play_at(difficulty) for each in sections])
         if len(played) < 2:
             return ""
-        low, high = interval(played.score.to_numpy())
+        low, high = interval(by_cluster(played.score, played.opening))
         means.append(played.score.mean())
         said.append(f"{means[-1]:.1f} ({low:.1f} to {high:.1f}) at difficulty {difficulty}")
     gap = means[0] - means[1]

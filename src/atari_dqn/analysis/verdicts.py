@@ -26,6 +26,7 @@ from atari_dqn import params
 from atari_dqn.analysis.statistics import (
     BLOCK,
     blocks,
+    by_cluster,
     probability_of_improvement,
     series_interval,
     stratified_interval,
@@ -342,8 +343,8 @@ def compare_evaluations(study: Study, first: str, second: str) -> list[Verdict]:
             one, other = (found.groupby("seed").score.mean().to_numpy() for found in played)
             low, high = welch_interval(one, other)
         else:
-            one, other = (found.score.to_numpy(float) for found in played)
-            low, high = welch_interval(one, other, (_distinct(played[0]), _distinct(played[1])))
+            one, other = (by_cluster(found.score, found.opening) for found in played)
+            low, high = welch_interval(one, other)
         means = _against(pair, (agent, agent), [one.mean(), other.mean()])
         said = f"evaluated: {means}, difference {low:.1f} to {high:.1f}"
         verdicts.append(Verdict(MORE(low, high), said, seeds))
@@ -354,11 +355,6 @@ def _greedy_episodes(section: Section, agent: str) -> pd.DataFrame:
     """The evaluation episodes of the agent's finished runs, played as it was trained."""
     table = as_trained(section.final_evaluations, section.params)
     return table if table.empty else table[table.agent == agent]
-
-
-def _distinct(episodes: pd.DataFrame) -> int:
-    """How many of some evaluation episodes do not repeat another."""
-    return len(episodes.drop_duplicates(["seed", "score", "length", "distance"]))
 
 
 def compare_greedy_checks(study: Study, first: str, second: str) -> list[Verdict]:
@@ -573,7 +569,7 @@ def _beaten_by(agent: str, played: pd.DataFrame, planned: int) -> Verdict:
         if planned >= SEEDS:
             low, high = student_interval(found.groupby("seed").score.mean().to_numpy())
         else:
-            low, high = student_interval(found.score.to_numpy(), _distinct(found))
+            low, high = student_interval(by_cluster(found.score, found.opening))
         parts[difficulty] = (Mean(found.score.mean(), low, high, planned), MORE(low, high))
     hardest = min(parts, key=lambda difficulty: parts[difficulty][0].mean)
     won = sum(outcome == Outcome.YES for _, outcome in parts.values())

@@ -8,8 +8,13 @@ import pandas as pd
 
 from atari_dqn import params
 from atari_dqn.analysis import summaries
-from atari_dqn.analysis.statistics import MILESTONES, interval, scores_at_milestones
-from atari_dqn.analysis.study import FRAMES_PER_MINUTE, Section, data, spelled
+from atari_dqn.analysis.statistics import (
+    MILESTONES,
+    by_cluster,
+    interval,
+    scores_at_milestones,
+)
+from atari_dqn.analysis.study import FRAMES_PER_MINUTE, Section, data, openings, spelled
 from atari_dqn.params import HELD_OUT_STATES, VALUE_GAMES, VALUES_PERIOD
 from atari_dqn.report import plots
 from atari_dqn.report.interactive import switches
@@ -175,7 +180,7 @@ def show_evaluations(section: Section) -> None:
         label=figure,
         caption=f"{section.title}: scores of the evaluation games "
         f"({games} per run; {p.evaluation_epsilon:.1%} of the actions are random). Diamonds: the "
-        "mean of each run, with its 95% interval (bootstrap over games).",
+        "mean of each run, with its 95% interval (bootstrap over openings).",
         alt=f"Dots for each agent's evaluation scores in {section.facts.title}, and their means.",
         data=section.origin + "evaluations.csv",
     )
@@ -190,8 +195,8 @@ def show_evaluations(section: Section) -> None:
         pd.DataFrame(rows).astype({"seed": "Int64", "training games": "Int64"}),
         label=table,
         caption=f"{section.title}: evaluation games at difficulty "
-        f"{p.difficulty}. The interval is over the games of a run (bootstrap), not over seeds; "
-        f"there are only {p.noop_max} different openings, so the interval is somewhat too narrow.",
+        f"{p.difficulty}. The interval is over the openings of a run's games (bootstrap), not over "
+        "seeds.",
         decimals=1,
     )
 
@@ -222,7 +227,7 @@ def show_conditions(section: Section) -> None:
         caption=f"{section.title}: evaluation games, also under conditions "
         f"other than those of training, which were difficulty {p.difficulty} and a probability "
         f"of sticky actions of {p.sticky_actions:g}. "
-        "Intervals are over games.",
+        "Intervals are over openings.",
         decimals=1,
     )
 
@@ -268,7 +273,7 @@ def _summary(section: Section, games: pd.DataFrame) -> dict:
     agent needs for one."""
     row = {"mean score": games.score.mean(), "95% interval": "–"}
     if len(games) > 1:
-        low, high = interval(games.score.to_numpy())
+        low, high = interval(by_cluster(games.score, games.opening))
         row["95% interval"] = f"{low:.1f} to {high:.1f}"
     if section.facts.knockout_cells is not None:
         row["won"] = f"{games.won.mean():.0%}"
@@ -400,6 +405,7 @@ def show_learning_style(section: Section) -> None:
     )
 
 
+BLINDLY = "the best game's moves, blindly"
 OPENINGS = (500, 100)  # training games, and agent steps from their start, that are compared
 
 
@@ -419,13 +425,14 @@ def show_robustness(section: Section) -> None:
             for chance in p.evaluation_stickiness
         },
         "left and right exchanged": _under(section, robustness.MIRRORED),
-        "the best game's moves, blindly": _under(section, robustness.SEQUENCE),
+        BLINDLY: _under(section, robustness.SEQUENCE),
     }
     for agent, seed in played[["agent", "seed"]].drop_duplicates().itertuples(index=False):
         for name, games in conditions.items():
             own = games[(games.agent == agent) & (games.seed == seed)]
             if len(own) > 1:
-                low, high = interval(own.score.to_numpy())
+                begun = own.game if name == BLINDLY else openings(own, p)
+                low, high = interval(by_cluster(own.score, begun))
                 rows.append(
                     {
                         "agent": params.title(agent),
@@ -443,7 +450,7 @@ def show_robustness(section: Section) -> None:
         caption=f"{section.title}: greedy games of finished agents under "
         "conditions that they were trained for (first) and that they were not. The best "
         f"evaluation game's moves are made in each of the {p.noop_max} openings. Intervals are "
-        "over games.",
+        "over openings.",
         decimals=1,
     )
     games, steps = OPENINGS
