@@ -8,7 +8,7 @@ import pytest
 from synthetic import AGENTS, check, evaluate, numbers, store, study, style, window, windows
 
 from atari_dqn import params
-from atari_dqn.analysis.study import Section
+from atari_dqn.analysis.study import TITLES, Section
 from atari_dqn.envs import EpisodeRecord
 from atari_dqn.report import notebook, outputs, plots, results
 from atari_dqn.runs import plan, recorder, records, robustness
@@ -384,3 +384,18 @@ def test_every_experiment_of_the_report_has_a_title_for_people(tmp_path):
     for name, section in study(tmp_path).sections.items():
         assert "_" not in section.title, name
         assert section.title.startswith(section.facts.title)
+
+
+def test_an_experiment_stands_beside_the_same_games_of_another(tmp_path, shown):
+    store(tmp_path, "boxing_expert", DQN, np.repeat([5.0, 30.0, 70.0], [50, 450, 500]))
+    store(tmp_path, "boxing_final", DQN, np.repeat([1.0, 8.0, 40.0, 90.0], [50, 450, 500, 2000]))
+    store(tmp_path, "boxing_final", DOUBLE, np.full(400, 3.0))  # not in the other
+    stored = study(tmp_path)
+    results.show_beside(stored["boxing_expert"], stored["boxing_final"])
+    rows = [list(row.values()) for row in shown.tables["tbl-boxing-expert-beside"]]
+    titles = [TITLES["boxing_expert"], TITLES["boxing_final"]]
+    assert rows == [
+        ["DQN", titles[0], "5.0", "27.5", "70.0"],
+        ["DQN", titles[1], "1.0", "7.3", "40.0"],
+        ["Double DQN", titles[1], "3.0", "–", "–"],
+    ]

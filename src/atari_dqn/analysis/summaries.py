@@ -33,6 +33,7 @@ from atari_dqn.analysis.verdicts import (
 EARLY = 500  # episodes, before which an agent still acts mostly at random
 BEST = 100  # points of a game of Boxing: a knock-out, and nothing conceded
 RECENT = 100  # episodes, of which the score of a run in progress is the mean
+NEWEST = 10  # checks of values: an untrained network's errors say nothing about it when trained
 UNJUDGED = [*Outcome.OPEN.value, *Outcome.UNTESTED.value]
 
 
@@ -116,7 +117,8 @@ def headline(study: Study) -> str:
         verb = "has" if judged.sum() == 1 else "have"
         so_far = " so far" if judged.sum() < testable else ""
         claims += f"; {judged.sum()} {verb} been decided{so_far} ({counted})."
-    return " ".join(filter(None, (f"**{text}**", beside_source(section), claims)))
+    parts = (f"**{text}**", beside_source(section), compared(study["breakout_final"]), claims)
+    return " ".join(filter(None, parts))
 
 
 def _scored(section: Section, found: Standings) -> str:
@@ -124,7 +126,7 @@ def _scored(section: Section, found: Standings) -> str:
     planned, facts = len(section.params.agents), section.facts
     trained, few = len(found.means), len(found.means) < planned
     verb = "has" if trained == 1 else "have"
-    text = f"So far {trained} of the {planned} agents {verb} been trained. " * few
+    text = f"In {facts.title}, {trained} of the {planned} agents {verb} been trained. " * few
     (best, top), *others = found.means.items()
     said = [f"{best} scores {top:.1f} points per game"]
     said += [f"{agent} {mean:.1f}" for agent, mean in others]
@@ -154,24 +156,28 @@ def _played(study: Study) -> tuple[int, int]:
     return sum(len(each.episodes) for each in sections), planned
 
 
+def compared(section: Section) -> str:
+    """How an experiment's agents compare over the same games, and with the source report's; empty
+    while none has a score."""
+    if (found := standings(section)) is None:
+        return ""
+    text = (
+        f"In {section.facts.title}, over {found.episodes}, {found.listed} (mean score per game; "
+        f"one human tester: {section.facts.human:g})."
+    )
+    played = section.episodes.groupby("agent").episode.max().rename(index=params.title)
+    for agent in map(params.title, section.params.agents):
+        if agent not in played:
+            text += f" {agent} has not begun."
+        elif agent not in found.means:
+            text += f" {agent} has played only {played[agent]:,} games."
+    return f"{text} {beside_source(section)}".strip()
+
+
 def conclusion(study: Study) -> str:
     """A sentence per game on how the agents compare, and a list of the claims that are judged."""
-    said = []
-    for name in ("boxing_final", "breakout_final"):
-        section = study[name]
-        if (found := standings(section)) is None:
-            continue
-        text = (
-            f"In {section.facts.title}, mean scores over {found.episodes} are {found.listed}, "
-            f"and the human reference is {section.facts.human:g}."
-        )
-        played = section.episodes.groupby("agent").episode.max().rename(index=params.title)
-        for agent in map(params.title, section.params.agents):
-            if agent not in played:
-                text += f" {agent} has not begun."
-            elif agent not in found.means:
-                text += f" {agent} has played only {played[agent]:,} games."
-        said.append(f"{text} {beside_source(section)}".strip())
+    both = (compared(study[name]) for name in ("boxing_final", "breakout_final"))
+    said = [text for text in both if text]
     if not said:
         played, planned = _played(study)
         said.append(
@@ -455,7 +461,7 @@ def _ending(games: pd.DataFrame, full: int) -> pd.Series:
         {
             "won by knock-out, %": 100 * won.mean(),
             "seconds per game": 60 * minutes / len(games),
-            "points per minute": games.score.sum() / minutes,
+            "net points per minute": games.score.sum() / minutes,
         }
     )
 
@@ -513,19 +519,25 @@ def values_reading(section: Section) -> str:
         return ""
     for (agent, seed), checks in section.values.groupby(["agent", "seed"], sort=False):
         seeds = f", seed {seed}" if len(section.params.seeds) > 1 else ""
-        last, errors = checks.iloc[-1], checks.predicted - checks.realised
+        newest = checks.tail(NEWEST)
+        last, error = newest.iloc[-1], (newest.predicted - newest.realised).mean()
+        number = f"its last {len(newest)} checks" if len(newest) > 1 else "its only check"
         said.append(
-            f"{params.title(str(agent))}{seeds} predicts {errors.mean():.1f} more than what "
-            f"follows, on average over {len(checks)} checks, and {last.predicted:.1f} against "
-            f"{last.realised:.1f} at the last, after {last.episode:,.0f} games"
+            f"{params.title(str(agent))}{seeds} predicts {abs(error):.1f} "
+            f"{'more' if error >= 0 else 'less'} than what follows, on average over {number}, and "
+            f"{last.predicted:.1f} against {last.realised:.1f} at the last, after "
+            f"{last.episode:,.0f} games"
         )
     return f"{'; '.join(said)}."
+
+
+DISCUSSED = {"Boxing": "@sec-why", "Breakout": "@sec-why-breakout"}  # why ours are others
 
 
 def beside_source(section: Section) -> str:
     """The scores of the source report beside ours, at the last milestone that both have; empty if
     there is none."""
-    source, said, less = data("source_report"), dict[str, list[str]](), False
+    source, said = data("source_report"), dict[str, list[str]]()
     theirs = source.get(section.params.experiment, {})
     for agent, milestones in theirs.items() if section.params.episodes == MILESTONES[-1] else ():
         for milestone, score in reversed(list(zip(source["marks"], milestones, strict=True))):
@@ -535,15 +547,11 @@ def beside_source(section: Section) -> str:
                 which = f"over games {first:,} to {milestone:,}"
                 both = f"{params.title(agent)} {ours.mean():.1f} and {score:.1f}"
                 said.setdefault(which, []).append(both)
-                less |= ours.mean() < score
                 break
     if not said:
         return ""
     listed = "; ".join(f"{which}, {', '.join(agents)}" for which, agents in said.items())
-    text = f"Our scores and the source report's: {listed}."
-    if less:
-        text += " @sec-why discusses the difference."
-    return text
+    return f"Our scores and the source report's: {listed} (see {DISCUSSED[section.facts.title]})."
 
 
 OBJECTIVES = {

@@ -140,6 +140,32 @@ def show_milestones(section: Section) -> None:
     )
 
 
+def show_beside(section: Section, reference: Section) -> None:
+    """Training scores beside those of another experiment over the same games."""
+    label, rows = f"tbl-{section.slug}-beside", []
+    last = section.params.episodes
+    spans = [(1, 50), *((first, first + 499) for first in range(1, last, 500))]
+    for agent in section.params.agents:
+        for each in (section, reference):
+            means = {
+                f"{first:,} to {end:,}": scores.mean() if scores.size else np.nan
+                for first, end in spans
+                for scores in [each.scores(agent, first, end)]
+            }
+            if not all(np.isnan(mean) for mean in means.values()):
+                rows.append({"agent": params.title(agent), "runs": each.title, **means})
+    if not any(row["runs"] == section.title for row in rows):
+        show_placeholders(label)
+        return
+    show_table(
+        pd.DataFrame(rows),
+        label=label,
+        caption=f"{section.title} beside {reference.title}: mean score over the same training "
+        "games, with exploration. Columns: games.",
+        decimals=1,
+    )
+
+
 def show_endings(section: Section) -> None:
     """How the games of the last milestones ended: the share of knock-outs, and how fast points
     came."""
