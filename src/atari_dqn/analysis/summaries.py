@@ -248,7 +248,7 @@ def head_start(study: Study, experiment: str, base: str) -> str:
         low, high = interval(by_cluster(played.score, played.opening))
         means.append(played.score.mean())
         said.append(f"{means[-1]:.1f} ({low:.1f} to {high:.1f}) at difficulty {difficulty}")
-    gap = means[0] - means[1]
+    gap = round(means[0], 1) - round(means[1], 1)  # of what is said
     where = "higher" if gap > 0 else "lower"
     start = f"an agent of these runs starts {abs(gap):.1f} points {where}"
     return f"Random play scores {' and '.join(said)}: {start}."
@@ -339,8 +339,9 @@ def neighbours(study: Study) -> str:
     middle, most = float(np.median(found)), max(found)
     return (
         f"Between successive blocks of {BLOCK} training games the correlation is measured in "
-        f"{len(found)} stretches of our runs: {min(found):.2f} to {most:.2f}, with a median of "
-        f"{middle:.2f}. At that median, an interval of {number} blocks that is said to hold the "
+        f"{len(found)} stretches of our runs: its median is {middle:.2f}, its highest value "
+        f"{most:.2f} (with so few blocks none above {1 - 2 / number:.2f} is counted). At that "
+        f"median, an interval of {number} blocks that is said to hold the "
         f"mean in 95% of cases does so in {coverage(middle, number):.0%} (simulated); at the "
         f"highest, in {coverage(most, number):.0%}."
     )

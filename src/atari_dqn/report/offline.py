@@ -32,7 +32,7 @@ def show_size(study: Study) -> None:
         f"The {len(runs)} stored runs hold {len(played):,} training games of "
         f"{frames / 1e6:,.1f} million frames, {frames / 3600 / 60:,.0f} hours of television at 60 "
         f"frames per second, and with them every greedy game, in {size / 1e6:.1f} MB: "
-        f"{8 * size / (frames / 4):.1f} bits per agent step."
+        f"{8 * size / (frames / 4):.1f} bits per agent step of training."
     )
 
 
