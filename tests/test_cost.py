@@ -73,6 +73,10 @@ def test_every_stored_run_has_a_row_with_its_state_games_steps_hours_and_origin(
         *("375,000", 0, "a processor"),
     ]
     assert first["commits"] == "`aaaaaaaa`, `bbbbbbbb+`"
+    many = [{**stretch, "commit": letter * 40} for letter in "abcda"]
+    store(tmp_path, "boxing_final", DQN, np.zeros(100), sessions=many)
+    said = analysis.run_table(study(tmp_path).runs)["commits"].tolist()
+    assert "`aaaaaaaa`, …, `dddddddd` (4 in all)" in said
     assert second["hash"] == f"`{run.params.identity()[:8]}`"
 
 

@@ -276,7 +276,7 @@ def test_finished_runs_are_told_of_as_finished(tmp_path):
     assert said in headline
     reading = summaries.reading(stored, "boxing_final")
     scored = pd.read_csv(run.folder / "evaluations.csv").score.mean()
-    said = f"Evaluated after 3,000 training games, it scored {scored:.1f} (40 greedy games)"
+    said = f"Evaluated after 3,000 training games, it scored {scored:.1f} (40 evaluation games)"
     assert said in reading
     assert "so far" not in (headline.split("The source report makes")[0] + reading).lower()
 

@@ -348,7 +348,9 @@ def run_table(runs: list[Run]) -> pd.DataFrame:
         if state == MISSING:
             continue
         stored = run.provenance()
-        commits = [_short(session["commit"]) for session in stored["sessions"]]
+        commits = list(dict.fromkeys(_short(each["commit"]) for each in stored["sessions"]))
+        if len(commits) > 2:  # all of them are in its provenance.json
+            commits = [commits[0], "…", f"{commits[-1]} ({len(commits)} in all)"]
         training = state in (RUNNING, INTERRUPTED)
         rows.append(
             {
@@ -361,7 +363,7 @@ def run_table(runs: list[Run]) -> pd.DataFrame:
                 "hours": hours(run),
                 "resumes": stored["resumes"],
                 "trained on": _machines(stored["sessions"]),
-                "commits": ", ".join(dict.fromkeys(commits)),
+                "commits": ", ".join(commits),
                 "hash": f"`{stored['identity'][:8]}`",
             }
         )

@@ -422,7 +422,7 @@ def _without_exploring(evaluated: pd.DataFrame, checks: pd.DataFrame) -> str:
     if tried and tried >= checked - RECENT:
         return (
             f". Evaluated after {tried:,} training games, it scored {evaluated.score.mean():.1f} "
-            f"({len(evaluated)} greedy games)"
+            f"({len(evaluated)} evaluation games)"
         )
     return (
         f". In the latest check ({params.VALUE_GAMES} greedy games after game {checked:,}) it "
