@@ -364,7 +364,8 @@ FINDINGS = (
 
 def findings(study: Study) -> pd.DataFrame:
     """The verdicts on `FINDINGS`."""
-    return table(FINDINGS, study).rename(columns={"source": "its section"})
+    found = table(FINDINGS, study).rename(columns={"source": "its section"})
+    return found[["no.", "claim", "verdict", "evidence", "its section"]]
 
 
 # How the source report explains its findings (its section 2.1).
