@@ -271,6 +271,17 @@ def test_predicted_realised_and_held_out_values_are_told_apart_by_their_lines(tm
     told = ["predicts", "(dots)", "return that followed", "(grey circles)", "overestimates"]
     assert sorted(told, key=caption.index) == told
     assert numbers(caption)[:4] == [20, 100, 20, 512]
+    assert "lost life" not in caption
+
+
+def test_an_agent_with_a_single_check_of_its_values_has_no_panel(tmp_path, shown):
+    for agent, checks in ((DQN, 3), (DOUBLE, 1)):
+        run = store(tmp_path, "breakout_final", agent, np.zeros(300))
+        check(run, np.zeros(checks))
+    results.show_values(study(tmp_path)["breakout_final"])
+    panels = shown.figures["fig-breakout-final-values"].axes
+    assert [axes.get_title(loc="left") for axes in panels] == ["DQN"]
+    assert "less 1 for a lost life" in shown.captions["fig-breakout-final-values"]
 
 
 def test_overestimation_is_shaded_and_underestimation_is_not(tmp_path, shown):

@@ -333,6 +333,13 @@ def small_multiples(
     return figure
 
 
+def drawable(checks: pd.DataFrame) -> pd.DataFrame:
+    """Those of the agents with two checks at the least: one makes no line."""
+    if checks.empty:
+        return checks
+    return checks[checks.groupby("agent").episode.transform("nunique") > 1]
+
+
 def value_errors(values: pd.DataFrame) -> Figure:
     """Predicted values of the states of greedy episodes (dots in the agent's colour), what was
     realised (grey circles) and, shaded, how far the one lies above the other, against training
@@ -341,8 +348,11 @@ def value_errors(values: pd.DataFrame) -> Figure:
     `values` holds columns episode, predicted, realised, held_out_q and agent
     (`evaluation.ValueCheck`).
     """
+    values = drawable(values)
     agents = agents_of(values)
-    figure, panels = plt.subplots(1, len(agents), sharey=True, figsize=(WIDTH, 2.5), squeeze=False)
+    figure, panels = plt.subplots(
+        1, len(agents), sharex=True, sharey=True, figsize=(WIDTH, 2.5), squeeze=False
+    )
     for axes, agent in zip(panels[0], agents, strict=True):
         columns = ["predicted", "realised", "held_out_q"]
         own = values[values.agent == agent].groupby("episode")[columns].mean()
@@ -369,6 +379,7 @@ def value_errors(values: pd.DataFrame) -> Figure:
 
 def styles_along(styles: pd.DataFrame) -> Figure:
     """How agents box against training episodes, a panel per measure: `Section.styles`."""
+    styles = drawable(styles)
     figure, panels = plt.subplots(3, 2, sharex=True, figsize=(WIDTH, 6.4))
     percent = styles.assign(reach=100 * styles.reach)
     for axes, (column, title) in zip(panels.flat, STYLE_MEASURES.items(), strict=True):

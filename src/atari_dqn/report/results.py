@@ -314,7 +314,8 @@ def _summary(section: Section, games: pd.DataFrame) -> dict:
 def show_values(section: Section) -> None:
     """Predicted against realised values: what overestimation is measured by."""
     label = f"fig-{section.slug}-values"
-    if section.values.empty:  # in a chapter of several badges, so the reason stands here
+    if plots.drawable(section.values).empty:
+        # in a chapter of several badges, so the reason stands here
         title = section.facts.title
         show_absent(
             label,
@@ -322,12 +323,14 @@ def show_values(section: Section) -> None:
             f"{VALUES_PERIOD} training games.",
         )
         return
+    penalty = section.params.life_loss_penalty
+    lives = f", less {penalty:g} for a lost life" * bool(penalty)
     show_figure(
         plots.value_errors(section.values),
         label=label,
         caption=f"{section.title}: the value that the "
         f"network predicts for the states of {VALUE_GAMES} greedy games (dots), and the "
-        "discounted return that followed them, in rewards as the agent learns from them (grey "
+        f"discounted return that followed them, in rewards as the agent learns from them{lives} (grey "
         f"circles), every {VALUES_PERIOD} training games. Shaded: the network overestimates. A "
         f"point is {VALUE_GAMES} games, so single dips mean little. Pale line: the prediction "
         f"for {HELD_OUT_STATES} states of random play that stay the same: if it drifts upwards "
@@ -390,7 +393,7 @@ def show_variations(section: Section, reference: Section, agent: str) -> None:
 def show_learning_style(section: Section) -> None:
     """How the agents box along their training."""
     label, table = f"fig-{section.slug}-style", f"tbl-{section.slug}-style"
-    if section.styles.empty:
+    if plots.drawable(section.styles).empty:
         show_placeholders(label, table)
         return
     show_figure(
