@@ -331,8 +331,8 @@ def show_values(section: Section) -> None:
         caption=f"{section.title}: the value that the "
         f"network predicts for the states of {VALUE_GAMES} greedy games (dots), and the "
         f"discounted return that followed them, in rewards as the agent learns from them{lives} "
-        f"(grey circles), every {VALUES_PERIOD} training games. Shaded: the network overestimates. A "
-        f"point is {VALUE_GAMES} games, so single dips mean little. Pale line: the prediction "
+        f"(grey circles), every {VALUES_PERIOD} training games. Shaded: the network overestimates. "
+        f"A point is {VALUE_GAMES} games, so single dips mean little. Pale line: the prediction "
         f"for {HELD_OUT_STATES} states of random play that stay the same: if it drifts upwards "
         "while play does not improve, the network has begun to overestimate.",
         alt="Predicted and realised values of states against training games, one panel per agent.",
