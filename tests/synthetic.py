@@ -16,6 +16,7 @@ from matplotlib.figure import Figure
 from atari_dqn import params
 from atari_dqn.analysis.study import Study
 from atari_dqn.params import TRAINING_VERSION
+from atari_dqn.runs import tables
 from atari_dqn.runs.run import Run, runs_of
 
 ROOT = Path(__file__).parents[1]
@@ -51,11 +52,12 @@ def store(results, experiment, agent, scores, seed=1, variation="", epsilon=0.22
     run.folder.mkdir(parents=True, exist_ok=True)
     games = np.arange(1, len(scores) + 1)
     table = {"episode": games, "agent_steps": games * STEPS, "frames": games * FRAMES}
-    table = pd.DataFrame({**table, "score": scores, "epsilon": epsilon})
-    table.to_csv(run.folder / "episodes.csv", index=False)
+    table |= {"score": scores, "length": STEPS, "epsilon": epsilon, "loss": 0.01, "mean_q": 1.0}
+    pd.DataFrame(table).to_csv(run.folder / "episodes.csv", index=False)
     timing = {"episode": games, "seconds": games * SECONDS, "cpu_seconds": games * SECONDS / 9}
     pd.DataFrame(timing).to_csv(run.folder / "timing.csv", index=False)
-    params.dump(run.params, run.folder / "params.yaml")
+    few = {"evaluation_games": 1, "evaluation_difficulties": [], "evaluation_stickiness": []}
+    params.dump(run.params.model_copy(update=few), run.folder / "params.yaml")
     state = "complete" if len(scores) >= run.params.episodes else "interrupted"
     status = {"state": state, "episodes_done": len(scores), "episodes": run.params.episodes}
     (run.folder / "status.json").write_text(json.dumps(status))
@@ -94,16 +96,26 @@ SPREAD = ("score", "scored", "conceded", "distance")  # columns that differ from
 
 def evaluate(run, games=40, trained=None, add=False, **columns):
     """Gives a run an evaluation of greedy games, whose columns have the given means; `add` leaves
-    those that it has."""
+    those that it has. Of a model of fewer games than the run is to have, it is one in progress."""
     rng, spread = np.random.default_rng(1), np.linspace(-1, 1, games)
     columns = {"score": 20.0, "scored": 30.0, "conceded": 10.0, "distance": 40.0} | columns
     for name in SPREAD:
         columns[name] = columns[name] + rng.permutation(spread)
     settings = {"difficulty": run.params.difficulty, "sticky_actions": 0.0, "epsilon": 0.001}
     settings |= {"won": columns["score"] > 0, "knockout": 0, "length": 1800, "frames": 7200}
-    settings |= {"game": range(games), "trained_games": trained or run.params.episodes}
+    settings |= {"seed": run.seed, "trained_games": trained or run.params.episodes}
     table, path = pd.DataFrame(settings | columns), run.folder / "evaluations.csv"
-    pd.concat([pd.read_csv(path), table] if add else [table]).to_csv(path, index=False)
+    put_evaluations(path, pd.concat([pd.read_csv(path), table] if add else [table]))
+    if trained and trained < run.params.episodes:
+        status = json.loads((run.folder / "status.json").read_text()) | {"state": "interrupted"}
+        (run.folder / "status.json").write_text(json.dumps(status))
+
+
+def put_evaluations(path, table):
+    """Writes evaluation games as a run does: in order, and numbered under the same settings."""
+    table = table.sort_values([*tables.SETTINGS], kind="stable")
+    table["game"] = table.groupby([*tables.SETTINGS]).cumcount()
+    table[[*tables.COLUMNS[tables.EVALUATIONS]]].to_csv(path, index=False)
 
 
 def check(run, score, predicted=1.0, realised=1.0, held_out=1.0):
@@ -122,9 +134,8 @@ def style(run, score, greedy=4, **columns):
     columns = {"distance": 40.0, "score": score, "frames": 7200, "digest": "0"} | columns
     table = pd.DataFrame({"episode": 100 * np.arange(1, count + 1)} | columns)
     run.styles.parent.mkdir(parents=True, exist_ok=True)
-    table.loc[table.index.repeat(greedy)].assign(game=np.tile(np.arange(greedy), count)).to_csv(
-        run.styles, index=False
-    )
+    table = table.loc[table.index.repeat(greedy)].assign(game=np.tile(np.arange(greedy), count))
+    table[[*tables.COLUMNS[tables.STYLES]]].to_csv(run.styles, index=False)
 
 
 NUMBER = r"[-−]?\d[\d,]*(?:\.\d+)?"

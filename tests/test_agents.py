@@ -8,8 +8,8 @@ from atari_dqn.native import NativeLearner
 from atari_dqn.networks import FEATURES, DuelingNetwork, NatureNetwork
 from atari_dqn.params import AGENT_NAMES, ParameterError, title
 from atari_dqn.replay import Batch
-from atari_dqn.runs import recorder
-from atari_dqn.runs.run import Run, read_table
+from atari_dqn.runs import recorder, tables
+from atari_dqn.runs.run import Run
 from atari_dqn.schedules import learning_rate
 
 # Q-values of two next states, three actions; the networks disagree about the best one.
@@ -276,5 +276,5 @@ def test_a_fourth_agent_is_a_name_an_entry_and_a_function(tmp_path, small, monke
     run = Run(small(agents=["mean_dqn"], learner="torch"), tmp_path)
     recorder.train(run)
     assert run.state() == "complete"
-    assert len(read_table([run], "evaluations.csv")) == 2
+    assert len(tables.of_runs([run], "evaluations.csv")) == 2
     assert title("mean_dqn") == "Mean DQN"

@@ -9,9 +9,9 @@ from matplotlib.figure import Figure
 from atari_dqn import params
 from atari_dqn.params import ParameterError
 from atari_dqn.report import experiment, notebook
-from atari_dqn.runs import plan
+from atari_dqn.runs import plan, tables
 from atari_dqn.runs.files import RunError
-from atari_dqn.runs.run import Run, read_table
+from atari_dqn.runs.run import Run
 
 SMOKE = {"experiment": "boxing_final", "profile": "smoke"}
 
@@ -52,7 +52,7 @@ def test_a_run_is_followed_while_it_trains_and_its_evaluation_too(small, tmp_pat
     texts = line.texts
     assert texts[0] == "small/double_dqn/seed-1 begins"
     assert texts[1] == "**small/double_dqn/seed-1**: 0 of 3 games"
-    scores = read_table([run], "episodes.csv").score
+    scores = tables.of_runs([run], "episodes.csv").score
     mean = f"{scores[:2].mean():.1f}".replace("-", "−")
     assert f"2 of 3 games, mean score {mean} (last 2), about" in texts[3]
     assert texts[4].endswith("0 of 4 games of the final evaluation")
@@ -116,12 +116,12 @@ def test_a_run_is_shown_beside_the_stored_ones_of_its_experiment(stored, shown):
     }
     assert set(curves) == {"this run", "DQN, seed 1", "Double DQN, +0123abcd, seed 1"}
     for label, each in (("this run", run), ("DQN, seed 1", dqn)):
-        assert curves[label].tolist() == read_table([each], "episodes.csv").score.tolist()
+        assert curves[label].tolist() == tables.of_runs([each], "episodes.csv").score.tolist()
     experiment.show_scores(run)
     rows = {row["who"]: row for row in shown.tables["tbl-scores"]}
     assert next(iter(rows)) == "this run"
     assert set(rows) - set(curves) == {"human tester", "random play"}
-    greedy = read_table([changed], "evaluations.csv").query("sticky_actions == 0").score.mean()
+    greedy = tables.of_runs([changed], "evaluations.csv").query("sticky_actions == 0").score.mean()
     row = rows["Double DQN, +0123abcd, seed 1"]
     assert (row["games"], row["greedy"]) == ("3", f"{greedy:.1f}")
     assert rows["human tester"]["greedy"] == "12.1"
@@ -145,7 +145,7 @@ def test_the_video_and_the_commands_are_of_this_run(stored, shown, displayed, mo
     made = {}
     monkeypatch.setattr(experiment.outputs, "show_video", lambda video, **said: made.update(said))
     experiment.show_video(run, seconds=1)
-    score = read_table([run], "evaluations.csv").score[0]
+    score = tables.of_runs([run], "evaluations.csv").score[0]
     assert made["caption"].startswith("small/double_dqn/seed-1 after 3 training games: the first")
     assert made["caption"].endswith(f"ends with {score:g} points.".replace("-", "−"))
     experiment.show_commands(run)

@@ -14,6 +14,7 @@ from atari_dqn.envs import AtariEnv, EpisodeRecord, make_env
 from atari_dqn.params import Parameters
 from atari_dqn.runs import evaluations, recorder, records
 from atari_dqn.runs.audit import Difference, verify
+from atari_dqn.runs.files import RunError
 from atari_dqn.runs.records import RecordError
 from atari_dqn.runs.run import Run
 
@@ -253,7 +254,7 @@ def last_two(run, table, column, value):
 LACKING = {
     "a row of training": (
         lambda run: rewrite(run, "episodes.csv", lambda table: table[:-1]),
-        r"episodes.csv has 4 games, and status.json says 5",
+        r"episodes.csv, line 6: missing, since status.json says 5 games",
     ),
     "a game of training": (
         lambda run: without(run, lambda heading: heading.get("episode") == 3),
@@ -261,11 +262,11 @@ LACKING = {
     ),
     "a row in the middle": (
         lambda run: rewrite(run, "episodes.csv", lambda table: table.replace({"episode": 3}, 6)),
-        r"episodes.csv has no row of training game \(episode 3\)",
+        r"episodes.csv, line 4: episode 6 should be 3",
     ),
     "a check of values": (
         lambda run: rewrite(run, "values.csv", lambda table: table[:1]),
-        r"values.csv has no row of values game \(episode 4\)",
+        r"values.csv, line 3: missing, since episodes.csv has 5 games",
     ),
     "a game behind a check of values": (
         lambda run: without(run, lambda heading: heading.get("game") == 7),
@@ -273,26 +274,26 @@ LACKING = {
     ),
     "a row of the evaluation": (
         lambda run: rewrite(run, "evaluations.csv", lambda table: table[1:]),
-        r"evaluations.csv has no row of evaluation game \(trained_games 5.*game 0\)",
+        r"evaluations.csv, line 2: game 1 should be 0",
     ),
     "the evaluation": (
         lambda run: (run / "evaluations.csv").unlink(),
-        r"evaluations.csv has no row of evaluation game",
+        r"evaluations.csv is missing, and a complete run has one",
     ),
     "everything": (
         lambda run: (
             [rewrite(run, name, lambda table: table[:0]) for name in ("episodes.csv", "values.csv")]
             and (run / records.FILE).write_bytes(b"")
         ),
-        r"episodes.csv has 0 games, and status.json says 5",
+        r"episodes.csv, line 2: missing, since status.json says 5 games",
     ),
     "one row's uniqueness": (
         lambda run: rewrite(run, "episodes.csv", lambda t: last_two(run, t, "score", 99)),
-        r"episodes.csv has 6 games, and status.json says 5",
+        r"episodes.csv, line 7: episode 5 should be 6",
     ),
     "an evaluation's uniqueness": (
         lambda run: rewrite(run, "evaluations.csv", lambda t: last_two(run, t, "score", 99)),
-        r"evaluations.csv has 2 rows of evaluation game .*difficulty 3.*game 1\)",
+        r"evaluations.csv, line 6: game 1 should be 2",
     ),
     "the parameters it was trained with": (
         lambda run: (run / "params.yaml").write_text(
@@ -314,23 +315,26 @@ def test_a_complete_run_that_lacks_something_is_found(run, what):
     """However few of its games are played again."""
     spoil, said = LACKING[what]
     spoil(run)
-    with pytest.raises(Difference, match=said):
+    with pytest.raises(RunError, match=said):
         list(verify(run, 1))
 
 
 DAMAGED = {
     "no number": (
         *("episodes.csv", lambda text: text.replace("\n1,", "\n1x,")),
-        r"episodes\.csv, line 2: episode: '1x' is not a number",
+        r"episodes\.csv, line 2: episode: '1x' should be a whole number",
     ),
     "a conflict": (
         "episodes.csv",
         lambda text: "<<<<<<< HEAD\n" + text,
-        r"has no column 'episode'",
+        r"episodes\.csv, line 1: '<<<<<<< HEAD' should be the header episode,agent_steps",
     ),
-    "nothing": ("values.csv", lambda text: "", r"values\.csv is damaged: its last line is cut"),
-    "half a line": ("evaluations.csv", lambda text: text[:-5], r"evaluations\.csv is damaged: its"),
-    "no status": ("status.json", lambda text: text[:-5], r"status\.json is damaged"),
+    "nothing": ("values.csv", lambda text: "", r"values\.csv, line 1: '' should be the header"),
+    "half a line": (
+        *("evaluations.csv", lambda text: text[:-2]),
+        r"evaluations\.csv, line 5: '.*' is cut short",
+    ),
+    "no status": ("status.json", lambda text: text[:-5], r"status\.json is missing or damaged"),
 }
 
 
@@ -338,7 +342,7 @@ DAMAGED = {
 def test_a_damaged_table_is_named(run, what):
     file, spoil, said = DAMAGED[what]
     (run / file).write_text(spoil((run / file).read_text()))
-    with pytest.raises(RecordError, match=said):
+    with pytest.raises(RunError, match=said):
         list(verify(run, 1))
 
 

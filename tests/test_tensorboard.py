@@ -8,6 +8,7 @@ import pandas as pd
 import pytest
 from conftest import SMALL
 from PIL import Image
+from synthetic import put_evaluations
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 from tensorboard.plugins.hparams.plugin_data_pb2 import HParamsPluginData
 
@@ -121,9 +122,11 @@ def test_other_conditions_than_the_training_s_are_not_its_evaluation(interrupted
     path = run.folder / "evaluations.csv"
     before, table = path.read_bytes(), pd.read_csv(path)
     harder = table.assign(difficulty=3, score=-50)
-    pd.concat([table, harder, table.assign(sticky_actions=0.25, score=70)]).to_csv(path)
-    board = Board(run)
-    board.update()
+    put_evaluations(path, pd.concat([table, harder, table.assign(sticky_actions=0.25, score=70)]))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(params, "VALUES_PERIOD", 2)
+        board = Board(run)
+        board.update()
     board.close()
     path.write_bytes(before)
     assert curve(read(run), "score/evaluation")[1] == [np.float32(table.score.mean())]

@@ -18,9 +18,9 @@ from atari_dqn.evaluation import player_of
 from atari_dqn.native import new_learner
 from atari_dqn.params import Parameters
 from atari_dqn.replay import Batch
-from atari_dqn.runs import evaluations, models, recorder
+from atari_dqn.runs import evaluations, models, recorder, tables
 from atari_dqn.runs.models import load_model, read_model
-from atari_dqn.runs.run import Run, read_table, runs_of
+from atari_dqn.runs.run import Run, runs_of
 from atari_dqn.schedules import epsilon_greedy
 from atari_dqn.training import Episode, Trainer
 
@@ -584,7 +584,7 @@ def test_a_later_evaluation_keeps_the_runs_seed_and_changes_what_it_is_told(watc
 
 
 def test_tables_are_read_with_the_names_of_their_run(watched):
-    table = read_table([watched.run], "episodes.csv")
+    table = tables.of_runs([watched.run], "episodes.csv")
     for column, name in {"experiment": "small", "agent": "dueling_double_dqn", "seed": 3}.items():
         assert set(table[column]) == {name}
 

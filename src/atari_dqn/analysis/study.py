@@ -12,7 +12,7 @@ from atari_dqn import params
 from atari_dqn.analysis.statistics import MILESTONES
 from atari_dqn.games import GAMES, GameFacts
 from atari_dqn.params import EVALUATION, Parameters
-from atari_dqn.runs import plan
+from atari_dqn.runs import plan, tables
 from atari_dqn.runs.files import project_root, results_folder
 from atari_dqn.runs.run import (
     COMPLETE,
@@ -22,7 +22,6 @@ from atari_dqn.runs.run import (
     STALE,
     Run,
     as_trained,
-    read_table,
     runs_of,
 )
 
@@ -121,8 +120,21 @@ class Section:
         return part
 
     @cached_property
+    def damaged(self) -> dict[str, str]:
+        """What is wrong with those of its runs that cannot be read, by their names; they are left
+        out of everything else."""
+        return {run.name: said for run in self.runs if (said := tables.damage(run))}
+
+    @property
+    def stored(self) -> list[Run]:
+        """Those of its runs of which something is stored that can be read."""
+        readable = [run for run in self.runs if run.name not in self.damaged]
+        return [run for run in readable if run.state() != MISSING]
+
+    @cached_property
     def usable(self) -> list[Run]:
-        return [run for run in self.runs if run.state() not in (MISSING, STALE)]
+        """Those that are as the experiment's file asks for."""
+        return [run for run in self.stored if run.state() != STALE]
 
     @cached_property
     def on_gpu(self) -> bool:
@@ -133,19 +145,19 @@ class Section:
     def episodes(self) -> pd.DataFrame:
         """A row per training game: `training.Episode`, agent, seed, variation, and the seconds so
         far by the clock and of processor time."""
-        tables = []
+        found = []
         for run in self.usable:
-            table = read_table([run], "episodes.csv")
-            timing = read_table([run], "timing.csv")
+            table = tables.of_runs([run], tables.EPISODES)
+            timing = tables.read(run.folder, tables.TIMING)
             if not table.empty:
                 columns = ["episode", "seconds", "cpu_seconds"]
-                tables.append(table.merge(timing[columns], "left", "episode"))
-        return pd.concat(tables, ignore_index=True) if tables else pd.DataFrame()
+                found.append(table.merge(timing[columns], "left", "episode"))
+        return pd.concat(found, ignore_index=True) if found else pd.DataFrame()
 
     @cached_property
     def values(self) -> pd.DataFrame:
         """A row every hundred games: `evaluation.ValueCheck`, agent, seed."""
-        return read_table(self.usable, "values.csv")
+        return tables.of_runs(self.usable, tables.VALUES)
 
     @cached_property
     def evaluations(self) -> pd.DataFrame:
@@ -156,7 +168,7 @@ class Section:
     def stored_evaluations(self) -> pd.DataFrame:
         """A row per evaluation game, of whichever of a run's models and however played, and the
         opening that it begins with."""
-        table = read_table(self.usable, "evaluations.csv")
+        table = tables.of_runs(self.usable, tables.EVALUATIONS)
         return table if table.empty else table.assign(opening=openings(table, self.params))
 
     @cached_property
@@ -173,7 +185,7 @@ class Section:
     def styles(self) -> pd.DataFrame:
         """How the agents box in the checks of greedy play along their training, a row per greedy
         episode: `runs.styles.Style`, agent, seed, what it counts per minute, and per punch."""
-        table = self._beside("styles")
+        table = self._beside(tables.STYLES)
         if table.empty:
             return table
         minutes = table.frames / FRAMES_PER_MINUTE
@@ -186,17 +198,17 @@ class Section:
     def robustness(self) -> pd.DataFrame:
         """A row per game of finished agents under conditions that they have never met:
         `runs.robustness.Trial`, agent, seed."""
-        return self._beside("robustness")
+        return self._beside(tables.ROBUSTNESS)
 
     def _beside(self, name: str) -> pd.DataFrame:
         """One table of what stands in the runs' files beside their folders."""
         files = [(run, getattr(run, name)) for run in self.usable]
-        tables = [
-            pd.read_csv(path).assign(agent=run.agent, seed=run.seed)
+        found = [
+            tables.read_file(path, name).assign(agent=run.agent, seed=run.seed)
             for run, path in files
             if path.exists()
         ]
-        return pd.concat(tables, ignore_index=True) if tables else pd.DataFrame()
+        return pd.concat(found, ignore_index=True) if found else pd.DataFrame()
 
     @property
     def random_play(self) -> pd.DataFrame:
@@ -233,7 +245,7 @@ class Section:
 
     @property
     def complete(self) -> bool:
-        return all(run.state() == COMPLETE for run in self.runs)
+        return not self.damaged and all(run.state() == COMPLETE for run in self.runs)
 
     def scores(self, agent: str, first: int, last: int) -> np.ndarray:
         """The scores of training games `first` to `last`, float64 [seeds, games], of the agent's
@@ -291,10 +303,14 @@ class Study:
     def runs(self) -> list[Run]:
         return [run for section in self.sections.values() for run in section.runs]
 
+    @property
+    def stored(self) -> list[Run]:
+        return [run for section in self.sections.values() for run in section.stored]
+
 
 def hours(run: Run) -> float:
     """Hours by the clock, on one core, of the training behind the stored games."""
-    return _last(run, "timing.csv", "seconds") / 3600
+    return _last(run, tables.TIMING, "seconds") / 3600
 
 
 def peak_megabytes(run: Run) -> float:
@@ -318,7 +334,7 @@ def _machines(sessions: list[dict[str, Any]]) -> str:
 
 
 def _last(run: Run, file: str, column: str) -> float:
-    table = read_table([run], file)
+    table = tables.read(run.folder, file)
     return 0.0 if table.empty else float(table[column].iloc[-1])
 
 
@@ -328,7 +344,7 @@ def comparable(runs: list[Run]) -> pd.DataFrame:
     not the same of all, of experiment, agent and changes."""
     runs = [run for run in runs if run.state() not in (MISSING, STALE)]
     experiments, agents = {run.experiment for run in runs}, {run.agent for run in runs}
-    tables = []
+    found = []
     for run in runs:
         parts = {
             run.experiment: len(experiments) > 1,
@@ -336,8 +352,8 @@ def comparable(runs: list[Run]) -> pd.DataFrame:
             run.variation: bool(run.variation),
         }
         label = ", ".join(part for part, told in parts.items() if told) or "as in its file"
-        tables.append(read_table([run], "episodes.csv").assign(label=label))
-    return pd.concat(tables, ignore_index=True) if tables else pd.DataFrame()
+        found.append(tables.of_runs([run], tables.EPISODES).assign(label=label))
+    return pd.concat(found, ignore_index=True) if found else pd.DataFrame()
 
 
 def run_table(runs: list[Run]) -> pd.DataFrame:
@@ -359,7 +375,7 @@ def run_table(runs: list[Run]) -> pd.DataFrame:
                 "seed": run.seed,
                 "state": "unfinished" if training else state,
                 "games": f"{run.status()['episodes_done']:,}",
-                "agent steps": f"{_last(run, 'episodes.csv', 'agent_steps'):,.0f}",
+                "agent steps": f"{_last(run, tables.EPISODES, 'agent_steps'):,.0f}",
                 "hours": hours(run),
                 "resumes": stored["resumes"],
                 "trained on": _machines(stored["sessions"]),

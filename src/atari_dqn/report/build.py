@@ -28,8 +28,9 @@ from tqdm import tqdm
 
 from atari_dqn.report import catalogue, crossrefs, fingerprint
 from atari_dqn.report.execution import execute
-from atari_dqn.runs import plan, records, robustness, scheduler, styles
+from atari_dqn.runs import plan, records, robustness, scheduler, styles, tables
 from atari_dqn.runs.files import RunError, project_root, results_folder
+from atari_dqn.runs.run import stored_json
 
 STAMP = {"full": "", "quick": "QUICK RUN, NOT EVIDENCE", "smoke": "SMOKE RUN, NOT EVIDENCE"}
 TITLE = "Deep Q-Networks learn to box"
@@ -66,15 +67,9 @@ def _build(profile: str, folder: Path) -> Path:
         failures = scheduler.train_all(wanted) + refused
         if failures:
             raise RunError("; ".join(failures))
-    else:
-        for line in plan.known(profile, [], folder)[1]:  # of somebody's own, or the sections fail
-            warnings.warn(f"{line}; left out", stacklevel=2)
-    for run in plan.planned(profile, list(styles.EXPERIMENTS), folder)[0]:
-        compared = run.agent == styles.AGENT or run.params.experiment == styles.FINAL
-        if compared and (run.folder / records.FILE).exists():
-            styles.measure(run)
-    for run in plan.planned(profile, list(robustness.EXPERIMENTS), folder)[0]:
-        robustness.measure(run)
+    for line in plan.damaged(profile, [], folder):
+        warnings.warn(f"{line}; left out", stacklevel=2)
+    _measure(profile, folder)
     snapshot = _snapshot(folder)
     executed = _execute(profile, folder, snapshot)
     data = project_root() / "notebooks" / "data"
@@ -96,6 +91,27 @@ def _build(profile: str, folder: Path) -> Path:
     if profile == "full":  # the others' agents are no evidence, and nobody's to take
         catalogue.write(profile, snapshot, folder)
     return target
+
+
+def _measure(profile: str, folder: Path) -> None:
+    """Brings up to date what is measured in the records of runs."""
+    compared, tried = (
+        plan.planned(profile, list(kind.EXPERIMENTS), folder)[0] for kind in (styles, robustness)
+    )
+    wanted = [
+        (styles.measure, run)
+        for run in compared
+        if (run.agent == styles.AGENT or run.params.experiment == styles.FINAL)
+        and (run.folder / records.FILE).exists()
+    ]
+    wanted += [(robustness.measure, run) for run in tried]
+    for measure, run in wanted:
+        if tables.damage(run):
+            continue
+        try:
+            measure(run)
+        except RunError as error:
+            warnings.warn(f"{error}; left out", stacklevel=2)
 
 
 def _snapshot(folder: Path) -> Path:
@@ -163,10 +179,11 @@ def _moment(folder: Path) -> datetime | None:
     last session, so that the same runs give the same report. None without either."""
     if "SOURCE_DATE_EPOCH" in os.environ:
         return datetime.fromtimestamp(int(os.environ["SOURCE_DATE_EPOCH"]), UTC)
-    stored = (folder / "runs").rglob("provenance.json")
-    sessions = [json.loads(path.read_text(encoding="utf-8"))["sessions"] for path in stored]
-    starts = (datetime.fromisoformat(one["started"]) for run in sessions for one in run)
-    return max(starts, default=None)
+    sessions: list[dict[str, str]] = []
+    for path in (folder / "runs").rglob("provenance.json"):
+        with suppress(RunError):  # a damaged one, which has been named
+            sessions += stored_json(path.parent, path.name)["sessions"]
+    return max((datetime.fromisoformat(one["started"]) for one in sessions), default=None)
 
 
 def _size(png: str) -> str:

@@ -10,10 +10,11 @@ import pandas as pd
 
 from atari_dqn import params
 from atari_dqn.games import GAMES
+from atari_dqn.report.notebook import as_code
 from atari_dqn.report.video import television
-from atari_dqn.runs import models, plan, records
+from atari_dqn.runs import models, plan, records, tables
 from atari_dqn.runs.files import project_root, write_atomically
-from atari_dqn.runs.run import Run, as_trained, read_table
+from atari_dqn.runs.run import Run, as_trained
 
 RECENT = 100  # training episodes that a score is the mean of
 HEAD = """# The stored agents
@@ -40,8 +41,8 @@ class Greedy:
 
 def write(profile: str, stored: Path, folder: Path) -> None:
     """Writes README.md, and the videos that it links and that are not there yet, into the results
-    `folder`, of the runs whose copies are in `stored`. Raises RecordError if a run's records
-    cannot be read."""
+    `folder`, of the runs whose copies are in `stored`; names those that are damaged. Raises
+    RecordError if a run's records cannot be read."""
     rows = []
     for run in plan.stored(profile, [], stored):
         if (run.folder / "model.safetensors").exists():
@@ -51,11 +52,13 @@ def write(profile: str, stored: Path, folder: Path) -> None:
     table = pd.DataFrame(rows).to_markdown(index=False, disable_numparse=True)
     lines = Path(os.path.relpath(project_root() / "README.md", folder)).as_posix()
     text = HEAD.format(recent=RECENT, lines=lines) + (table if rows else "None yet.") + "\n"
+    for said in plan.damaged(profile, [], stored):
+        text += f"\nLeft out, since it cannot be read: {as_code(said, stored)}\n"
     write_atomically(folder / "README.md", text.encode())
 
 
 def _row(run: Run, greedy: Greedy | None) -> dict[str, str]:
-    scores = read_table([run], "episodes.csv").score.tail(RECENT)
+    scores = tables.of_runs([run], tables.EPISODES).score.tail(RECENT)
     files = Path("runs") / run.name
     trained = models.trained_games(run.folder / "model.safetensors")
     return {
@@ -83,7 +86,7 @@ def _link(text: str, path: Path | None) -> str:
 
 def greedy_play(run: Run) -> Greedy | None:
     """The evaluation of a finished run, or else the last check along its training, if any."""
-    evaluated, p = read_table([run], "evaluations.csv"), run.params
+    evaluated, p = tables.read(run.folder, tables.EVALUATIONS), run.params
     played_as = {
         "difficulty": p.difficulty,
         "sticky_actions": p.sticky_actions,
@@ -95,7 +98,7 @@ def greedy_play(run: Run) -> Greedy | None:
         scores = evaluated[evaluated.trained_games == trained].score
         heading = {"kind": records.EVALUATION, "trained_games": trained, **played_as}
         return Greedy(heading, trained, len(scores), scores.mean())
-    checks = read_table([run], "values.csv")
+    checks = tables.read(run.folder, tables.VALUES)
     if len(checks):
         trained = int(checks.episode.iloc[-1])
         heading = {"kind": records.VALUES, "episode": trained}

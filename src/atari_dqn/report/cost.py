@@ -18,7 +18,6 @@ from atari_dqn.report.outputs import (
     show_text,
 )
 from atari_dqn.runs.files import project_root
-from atari_dqn.runs.run import MISSING
 
 OURS = "atari-dqn"
 FOLDER = "results/benchmarks"
@@ -231,7 +230,7 @@ def show_whole_run() -> None:
 
 def show_hours(study: Study) -> None:
     """Hours by the clock so far, one core each, and beside the source report's early run."""
-    every = [run for run in study.runs if run.state() != MISSING]
+    every = study.stored
     stored = [run for run in every if not on_gpu(run)]
     spent = sum(hours(run) for run in stored)
     early = study["breakout_early"]

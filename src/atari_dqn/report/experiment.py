@@ -15,9 +15,9 @@ from atari_dqn.games import GAMES
 from atari_dqn.params import ParameterError
 from atari_dqn.report import catalogue, outputs, plots, results
 from atari_dqn.report.video import play_with_instruments
-from atari_dqn.runs import models, plan, recorder
+from atari_dqn.runs import models, plan, recorder, tables
 from atari_dqn.runs.files import RunError, project_root
-from atari_dqn.runs.run import Run, read_table
+from atari_dqn.runs.run import Run
 
 SECONDS = 5.0  # between two drawings of a run that trains, at least
 SHARE = 0.02  # of the time that drawing may take, at most
@@ -42,7 +42,7 @@ def train(run: Run) -> None:
     except KeyboardInterrupt:
         live.update(done=True)
         raise RunError(
-            f"interrupted after {len(read_table([run], 'episodes.csv')):,} games, which are "
+            f"interrupted after {len(tables.of_runs([run], tables.EPISODES)):,} games, which are "
             "saved; this cell goes on when it is run again"
         ) from None
     live.update(done=True)
@@ -70,7 +70,7 @@ class Live:
             self.evaluated += 1
         if began < self.due and not done:
             return
-        episodes = read_table([self.run], "episodes.csv")
+        episodes = tables.of_runs([self.run], tables.EPISODES)
         self.first = self.first or (began, len(episodes))
         if len(episodes):
             figure = _curve(episodes, self.run)
@@ -154,12 +154,12 @@ def show_curve(run: Run) -> None:
     itself, and the source report's scores. Raises RunError, as the functions below, if the run has
     no model yet."""
     _begun(run)
-    own = read_table([run], "episodes.csv")
-    window, tables = _window(own), [own.assign(variation=OWN)]
+    own = tables.of_runs([run], tables.EPISODES)
+    window, curves = _window(own), [own.assign(variation=OWN)]
     for name, rival in _rivals(run).items():
-        table = read_table([rival], "episodes.csv")
-        tables.append(table[table.episode <= len(own)].assign(variation=name))
-    table = pd.concat(tables, ignore_index=True)
+        table = tables.of_runs([rival], tables.EPISODES)
+        curves.append(table[table.episode <= len(own)].assign(variation=name))
+    table = pd.concat(curves, ignore_index=True)
     facts = GAMES[run.params.game]
     outputs.show_figure(
         plots.comparison(table, facts, window, "variation", _source(run), OWN),
@@ -196,7 +196,7 @@ def show_scores(run: Run) -> None:
 
 
 def _row(name: str, run: Run) -> dict[str, object]:
-    episodes, greedy = read_table([run], "episodes.csv"), catalogue.greedy_play(run)
+    episodes, greedy = tables.of_runs([run], tables.EPISODES), catalogue.greedy_play(run)
     return {
         "who": name,
         "games": len(episodes),

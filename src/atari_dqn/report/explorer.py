@@ -10,6 +10,7 @@ import os
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -69,8 +70,8 @@ def interactive(wanted: bool | None) -> bool:
 
 
 class StoredAgents:
-    """The agents whose models are stored, also those of changed parameters. Raises RunError if
-    there is none."""
+    """The agents whose models are stored, also those of changed parameters; `damaged` names the
+    runs that cannot be read. Raises RunError if there is none."""
 
     def __init__(self, profile: str, results: Path | str | None):
         self.folders: dict[Key, Path] = {
@@ -78,9 +79,11 @@ class StoredAgents:
             for run in plan.stored(profile, [], results)
             if (run.folder / "model.safetensors").exists()
         }
+        self.damaged = plan.damaged(profile, [], results)
         if not self.folders:
             folder = results_folder(profile, results) / "runs"
-            raise RunError(f"no agent is stored in {folder}; `make train` makes one")
+            besides = "".join(f"; left out: {said}" for said in self.damaged)
+            raise RunError(f"no agent is stored in {folder}; `make train` makes one{besides}")
 
     def choices(self, *chosen: str | int) -> list[Any]:
         """What can be chosen next: experiments; an experiment's agents; an agent's seeds."""
@@ -147,6 +150,8 @@ class Explorer:
             if choice in [value for _, value in self.run[level].options]:
                 self.run[level].value = choice
         self.show_game()
+        left_out = [f"left out: {said}" for said in self.agents.damaged]
+        self.message.value = "<br>".join(filter(None, [self.message.value, *map(escape, left_out)]))
 
     def show(self, with_widgets: bool) -> None:
         """Shows the panel, or where nobody could use it, what it shows."""

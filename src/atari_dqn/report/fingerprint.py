@@ -5,9 +5,11 @@ import hashlib
 import json
 import re
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 from atari_dqn import params
+from atari_dqn.params import ParameterError
 from atari_dqn.report import crossrefs
 from atari_dqn.runs import plan
 from atari_dqn.runs.files import project_root
@@ -63,11 +65,12 @@ def _stored(code: str, profile: str, results: Path) -> Iterator[Path]:
             continue
         yield from params.files_behind(path)
         for run in runs_of(params.load(path), results) if shows_runs else ():
-            for each in (run, run.source()):
-                if each is not None:
-                    yield from _files(each)
+            yield from _files(run)
+            with suppress(ParameterError):  # of a damaged file, which the section names
+                if source := run.source():
+                    yield from _files(source)
     if "plan.stored(" in code:
-        for run in plan.stored(profile, [], results):
+        for run in plan.known(profile, [], results)[0]:  # damaged ones are named
             yield from _files(run)
 
 

@@ -1,6 +1,7 @@
 """What the notebooks share: their parameters, and the state of the runs that they show."""
 
 import ast
+from pathlib import Path
 from typing import Any
 
 from IPython.core.getipython import get_ipython
@@ -9,7 +10,7 @@ from atari_dqn import params
 from atari_dqn.analysis.study import Section
 from atari_dqn.params import ParameterError, Parameters
 from atari_dqn.report.outputs import show_text
-from atari_dqn.runs import scheduler
+from atari_dqn.runs import plan, scheduler
 from atari_dqn.runs.files import RunError, project_root, results_folder
 from atari_dqn.runs.run import COMPLETE, STALE, Run
 
@@ -92,8 +93,8 @@ def train(section: Section) -> None:
 
 def show_badge(section: Section) -> None:
     """Says which runs are missing or partial, their share done, and how to finish them."""
-    states = [run.state() for run in section.runs]
-    complete, name = states.count(COMPLETE), section.params.experiment
+    states = {run.name: run.state() for run in section.runs if run.name not in section.damaged}
+    complete, name = list(states.values()).count(COMPLETE), section.params.experiment
     profile = "" if section.params.profile == "full" else f" --profile {section.params.profile}"
     command = f"`python -m atari_dqn experiments run {name}{profile}`"
     count = len(section.runs)
@@ -107,8 +108,24 @@ def show_badge(section: Section) -> None:
         text += f"{len(section.episodes):,} of {planned:,} games played ({share})."
         if complete < len(section.runs):
             text += f" To finish them: {command}"
-    for run, state in zip(section.runs, states, strict=True):
-        if state == STALE:
+    for run in section.runs:
+        if said := section.damaged.get(run.name):
+            text += f"\n\n{run.name} is damaged and not shown: {as_code(said, run.results)}"
+        elif states[run.name] == STALE:
             text += f"\n\n{run.name} is stale ({'; '.join(run.changes())}) and not shown."
     kind = ".badge" if complete == len(section.runs) else ".badge .partial"
     show_text(f"::: {{{kind}}}\n{text}\n:::")
+
+
+def show_damaged(profile: str, results: Path | str | None) -> None:
+    """Names the stored runs that cannot be read, if there are any."""
+    folder = results_folder(profile, results)
+    if damaged := plan.damaged(profile, [], folder):
+        lines = [f"- {as_code(said, folder)}" for said in damaged]
+        show_text("\n".join(["Left out, since it cannot be read:\n", *lines]))
+
+
+def as_code(said: str, results: Path) -> str:
+    """An error about something in a folder of results, as Markdown that means nothing else,
+    wherever the folder is."""
+    return f"`{said.replace(f'{results}/', 'results/').replace('`', chr(39))}`"

@@ -14,14 +14,13 @@ from atari_dqn.report import plots
 from atari_dqn.report.outputs import show_absent, show_figure, show_text
 from atari_dqn.runs import records
 from atari_dqn.runs.files import project_root
-from atari_dqn.runs.run import MISSING
 
 FOLDER = "results/benchmarks"
 
 
 def show_size(study: Study) -> None:
     """How much play is stored, and in how little room."""
-    runs = [run for run in study.runs if run.state() != MISSING]
+    runs = study.stored
     tables = [section.episodes for section in study.sections.values() if len(section.episodes)]
     if not tables:
         return

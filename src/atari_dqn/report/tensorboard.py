@@ -21,7 +21,7 @@ from torch.utils.tensorboard.summary import hparams, scalar
 
 from atari_dqn.envs import AtariEnv, EpisodeRecord
 from atari_dqn.params import NOT_TRAINING
-from atari_dqn.runs import records
+from atari_dqn.runs import records, tables
 from atari_dqn.runs.run import COMPLETE, Run, as_trained
 
 FOLDER = "tensorboard"  # of a run's folder
@@ -63,7 +63,7 @@ class Board:
         episodes = self._episodes()
         clock = episodes.set_index("episode").time
         self._write(self._new("episodes", episodes), EPISODES)
-        values = pd.read_csv(self.run.folder / "values.csv")
+        values = tables.read(self.run.folder, tables.VALUES)
         checks = self._new("values", values.assign(time=values.episode.map(clock)))
         self._write(checks, VALUES)
         self._write_videos(checks)
@@ -100,8 +100,8 @@ class Board:
         """The games, each with when it ended (Unix seconds), and the mean score and the speed
         (agent steps per second) over the last ones."""
         folder, (first, *_) = self.run.folder, self.run.provenance()["sessions"]
-        timing = pd.read_csv(folder / "timing.csv")
-        table = pd.read_csv(folder / "episodes.csv").merge(timing, on="episode")
+        timing = tables.read(folder, tables.TIMING)
+        table = tables.read(folder, tables.EPISODES).merge(timing, on="episode")
         table["time"] = datetime.fromisoformat(first["started"]).timestamp() + table.seconds
         table["mean_score"] = table.score.rolling(WINDOW, min_periods=1).mean()
         passed = table[["agent_steps", "seconds"]]
@@ -111,10 +111,9 @@ class Board:
 
     def _evaluations(self) -> pd.DataFrame:
         """The mean score of every model that was evaluated as it was trained."""
-        path, params = self.run.folder / "evaluations.csv", self.run.params
-        if not path.exists():  # the run's end makes it
+        table = as_trained(tables.read(self.run.folder, tables.EVALUATIONS), self.run.params)
+        if table.empty:  # the run's end makes it
             return pd.DataFrame(columns=["episode", "score"])
-        table = as_trained(pd.read_csv(path), params)
         means = table.groupby("trained_games").score.mean()
         return means.rename_axis("episode").reset_index()
 

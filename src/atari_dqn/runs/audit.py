@@ -1,7 +1,5 @@
 """Playing a run's games again from their records, and comparing them with the run's tables."""
 
-import csv
-import json
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -14,13 +12,13 @@ import numpy as np
 from atari_dqn import params
 from atari_dqn.envs import EpisodeRecord, learned_reward
 from atari_dqn.params import Parameters
-from atari_dqn.runs import records
+from atari_dqn.runs import records, tables
 from atari_dqn.runs.files import RunError, evaluations_lock
 from atari_dqn.runs.records import EVALUATION, KEYS, TRAINING, VALUES, Game, Heading, RecordError
-from atari_dqn.runs.run import COMPLETE
+from atari_dqn.runs.run import COMPLETE, stored_json
 
 Facts = dict[str, float]  # what is known of a game, by the names of the tables' columns
-TABLES = {TRAINING: "episodes.csv", VALUES: "values.csv", EVALUATION: "evaluations.csv"}
+TABLES = {TRAINING: tables.EPISODES, VALUES: tables.VALUES, EVALUATION: tables.EVALUATIONS}
 ROWS = {**KEYS, VALUES: ("episode",)}  # the columns that tell a table's rows apart
 LENGTHS = ("score", "length", "frames")
 # The columns that a game played again has its own numbers for
@@ -53,7 +51,7 @@ def verify(folder: Path, games: int | None) -> Iterator[str]:
     `games` of training and evaluation, evenly spaced, or None for all, among them the greedy games
     behind values.csv. That the tables and the records are whole, and list the same games, is
     always checked. Of a run that is not complete, the last games may be in no table yet. Raises
-    Difference at the first that is not as the tables say, RecordError or ParameterError if a file
+    Difference at the first that is not as the tables say, RunError or ParameterError if a file
     cannot be read.
     """
     stored = _stored(folder)
@@ -141,62 +139,27 @@ def _values(parameters: Parameters, behind: list[EpisodeRecord]) -> Facts:
 def _stored(folder: Path) -> Stored:
     parameters = stored_parameters(folder)
     with evaluations_lock(folder):  # and the tables first: no row is written before its record
-        provenance, status = (_json(folder / f"{name}.json") for name in ("provenance", "status"))
-        complete = status.get("state") == COMPLETE
-        tables = {kind: _table(folder, kind, complete) for kind in TABLES}
+        provenance = stored_json(folder, "provenance.json")
+        complete = stored_json(folder, "status.json")["state"] == COMPLETE
+        tables.check(folder)
+        found = {kind: _table(folder, kind) for kind in TABLES}
         games = records.read_file(folder, torn=not complete)
-    if provenance.get("identity") != parameters.identity():
+    if provenance["identity"] != parameters.identity():
         raise Difference(f"{folder / params.STORED} is not what provenance.json says of the run")
-    if complete and status.get("episodes_done") != len(tables[TRAINING]):
-        raise Difference(
-            f"{folder}: episodes.csv has {len(tables[TRAINING])} games, and status.json says "
-            f"{status.get('episodes_done')}"
-        )
+    if complete and not found[EVALUATION]:
+        raise Difference(f"{folder / tables.EVALUATIONS} is missing, and a complete run has one")
     total = 0.0
-    for row in tables[TRAINING]:  # whose frames are those of all games so far
+    for row in found[TRAINING]:  # whose frames are those of all games so far
         total, row["frames"] = row["frames"], row["frames"] - total
-    return Stored(folder, parameters, provenance, complete, tables, games)
+    return Stored(folder, parameters, provenance, complete, found, games)
 
 
-def _json(path: Path) -> dict[str, Any]:
-    try:
-        values = json.loads(path.read_bytes())
-    except ValueError as error:
-        raise RecordError(f"{path} is damaged: {error}") from None
-    if not isinstance(values, dict):
-        raise RecordError(f"{path} is damaged: {values!r}")
-    return values
-
-
-def _table(folder: Path, kind: str, complete: bool) -> list[Facts]:
+def _table(folder: Path, kind: str) -> list[Facts]:
     """The rows of a table, as far as verifying needs them."""
-    path = folder / TABLES[kind]
-    if kind == EVALUATION and not path.exists():
-        return []  # the run's end makes it
-    try:
-        text = path.read_text(encoding="utf-8")
-    except UnicodeDecodeError as error:
-        raise RecordError(f"{path} is damaged: {error}") from None
-    if complete and not text.endswith("\n"):
-        raise RecordError(f"{path} is damaged: its last line is cut short")
-    lines = text[: text.rfind("\n") + 1].splitlines()
-    reader = csv.DictReader(lines)
-    columns = [*ROWS[kind], *COMPARED[kind]]
-    for name in columns:
-        if name not in (reader.fieldnames or []):
-            raise RecordError(f"{path} is damaged: it has no column {name!r}")
-    return [
-        {name: _number(f"{path}, line {line}", name, row[name]) for name in columns}
-        for line, row in enumerate(reader, 2)
-    ]
-
-
-def _number(place: str, name: str, text: str | None) -> float:
-    special = {"True": 1.0, "False": 0.0, "": float("nan")}
-    try:
-        return special[text or ""] if not text or text in special else float(text)
-    except ValueError:
-        raise RecordError(f"{place}: {name}: {text!r} is not a number") from None
+    table = tables.read(folder, TABLES[kind])
+    if table.empty:
+        return []
+    return table[[*ROWS[kind], *COMPARED[kind]]].astype(float).to_dict("records")
 
 
 # ---- Comparing ----------------------------------------------------------------------------------
@@ -233,17 +196,7 @@ def _other_emulator(stored: Stored) -> str:
 
 
 def _compare_lists(stored: Stored) -> None:
-    """Raises Difference unless the tables have every game that they should have, once, and just
-    these are on record."""
-    for kind, table in TABLES.items():
-        path = stored.folder / table
-        keys = Counter(_key(kind, row) for row in stored.tables[kind])
-        for key, times in keys.items():
-            if times > 1:
-                raise Difference(f"{path} has {times} rows of {_named(kind, key)}")
-        for key in _wanted(stored, kind):
-            if key not in keys:
-                raise Difference(f"{path} has no row of {_named(kind, key)}")
+    """Raises Difference unless just the games of the tables are on record."""
     recorded = Counter(tuple(heading.items()) for heading, _ in stored.games)
     path = stored.folder / records.FILE
     for heading, times in recorded.items():
@@ -278,28 +231,3 @@ def _compare_lists(stored: Stored) -> None:
 
 def _named(kind: str, key: tuple) -> str:
     return _name({"kind": kind, **dict(zip(ROWS[kind], key, strict=True))})
-
-
-def _wanted(stored: Stored, kind: str) -> list[tuple]:
-    """The keys that a table must have."""
-    count = len(stored.tables[TRAINING])
-    if kind == TRAINING:
-        return [(episode,) for episode in range(1, count + 1)]
-    if kind == VALUES:
-        every = params.VALUES_PERIOD
-        checked = count if stored.complete else count - 1  # the last check may be under way
-        return [(episode,) for episode in range(every, checked + 1, every)]
-    if not stored.complete:
-        return []
-    return [
-        (
-            count,
-            setting.difficulty,
-            setting.sticky_actions,
-            setting.evaluation_epsilon,
-            setting.seeds[0],
-            game,
-        )
-        for setting in params.conditions(stored.params)
-        for game in range(setting.evaluation_games)
-    ]

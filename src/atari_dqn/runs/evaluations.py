@@ -9,7 +9,7 @@ from tqdm import tqdm
 
 from atari_dqn import evaluation
 from atari_dqn.evaluation import EvaluationEpisode
-from atari_dqn.runs import models, records
+from atari_dqn.runs import models, records, tables
 from atari_dqn.runs.files import RunError, evaluations_lock, write_atomically
 from atari_dqn.training import prepare_process
 
@@ -24,8 +24,10 @@ def evaluate(folder: Path, overrides: dict[str, Any], games: int | None = None) 
     network, parameters = models.stored_agent(folder, overrides)
     if not os.access(folder, os.W_OK):
         raise RunError(f"{folder} cannot be written to, and is where the games are stored")
+    # Lest games are played that cannot be added to a damaged file
+    tables.read(folder, tables.EVALUATIONS)
     if (folder / records.FILE).exists():
-        records.read_file(folder)  # lest games are played that cannot be added to a damaged file
+        records.read_file(folder)
     games = games or parameters.evaluation_games
     seed, trained = parameters.seeds[0], models.trained_games(folder / "model.safetensors")
     player = evaluation.player_of(network, parameters)
@@ -39,18 +41,18 @@ def evaluate(folder: Path, overrides: dict[str, Any], games: int | None = None) 
 def store_evaluation(folder: Path, played: list[EvaluationEpisode], trained_games: int) -> None:
     """Adds games of a model, after so many games of training, to evaluations.csv and to the games
     on record, in the place of the same games of the same model and settings."""
-    path, recorded = folder / "evaluations.csv", folder / records.FILE
+    path, recorded = folder / tables.EVALUATIONS, folder / records.FILE
     table = pd.DataFrame([game.row() for game in played])
     table["trained_games"] = trained_games
-    settings = ["trained_games", "difficulty", "sticky_actions", "epsilon", "seed"]
     with evaluations_lock(folder):
         if path.exists():
-            table = pd.concat([pd.read_csv(path), table])
-        table = table.drop_duplicates([*settings, "game"], keep="last")
+            table = pd.concat([tables.read(folder, tables.EVALUATIONS), table])
+        table = table.drop_duplicates([*tables.SETTINGS, "game"], keep="last")
         before = records.read_file(folder) if recorded.exists() else []
         games = [(_heading(game, trained_games), game.record) for game in played]
         write_atomically(recorded, records.with_evaluations(before, games))
-        write_atomically(path, table.sort_values([*settings, "game"]).to_csv(index=False).encode())
+        table = table.sort_values([*tables.SETTINGS, "game"])
+        write_atomically(path, table.to_csv(index=False).encode())
 
 
 def _heading(game: EvaluationEpisode, trained_games: int) -> records.Heading:

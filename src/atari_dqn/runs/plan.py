@@ -8,9 +8,9 @@ import pandas as pd
 
 from atari_dqn import params
 from atari_dqn.params import ParameterError, Parameters
-from atari_dqn.runs import checkpoints
+from atari_dqn.runs import checkpoints, tables
 from atari_dqn.runs.files import RunError, project_root, results_folder
-from atari_dqn.runs.run import COMPLETE, FAILED, INTERRUPTED, STALE, Run, read_table, runs_of
+from atari_dqn.runs.run import COMPLETE, FAILED, INTERRUPTED, STALE, Run, runs_of
 
 # The order of training and of the report; experiments that are not listed come last.
 ORDER = (
@@ -147,9 +147,20 @@ def _changes(changed: Parameters, profile: str) -> str:
 
 
 def stored(profile: str, names: list[str], results: Path | str | None = None) -> list[Run]:
-    """Those of the `known` runs of which something is stored. What cannot be read is left out."""
+    """Those of the `known` runs of which something is stored. What cannot be read is left out, and
+    `damaged` names it."""
     runs, _ = known(profile, names, results)
-    return [run for run in runs if (run.folder / params.STORED).exists()]
+    return [run for run in runs if _is_stored(run) and not tables.damage(run)]
+
+
+def damaged(profile: str, names: list[str], results: Path | str | None = None) -> list[str]:
+    """A line for each of the stored runs that cannot be read."""
+    runs, refused = known(profile, names, results)
+    return refused + [said for run in runs if _is_stored(run) and (said := tables.damage(run))]
+
+
+def _is_stored(run: Run) -> bool:
+    return (run.folder / params.STORED).exists()
 
 
 def status(wanted: list[Run]) -> pd.DataFrame:
@@ -158,11 +169,16 @@ def status(wanted: list[Run]) -> pd.DataFrame:
     100 games; of a run that has none, at the mean pace of the game's other runs; else nan)."""
     rows = []
     for run in wanted:
+        stale = False
         try:
             state, stale = _said(run), run.state() == STALE
-        except RunError as error:
-            state, stale = f"{DAMAGED} ({error})", False
-        episodes = read_table([] if stale else [run], "episodes.csv")
+            damage = "" if stale else tables.damage(run)
+        except (RunError, ParameterError) as error:
+            damage = str(error)
+        if damage:
+            state = f"{DAMAGED} ({damage})"
+        readable = [] if stale or damage else [run]
+        episodes = tables.of_runs(readable, tables.EPISODES)
         recent = episodes.tail(PACE_GAMES)
         rows.append(
             {
@@ -175,7 +191,7 @@ def status(wanted: list[Run]) -> pd.DataFrame:
                 "score": recent.score.mean() if len(episodes) else np.nan,
                 "game": run.params.game,
                 "longest": run.params.max_game_frames,
-                "pace": np.nan if stale else _pace(run),
+                "pace": _pace(run) if readable else np.nan,
             }
         )
     table = pd.DataFrame(rows)
@@ -199,7 +215,7 @@ def _said(run: Run) -> str:
 
 def _pace(run: Run) -> float:
     """Seconds a game took of late; nan if too few have been played to tell."""
-    timing = read_table([run], "timing.csv").tail(PACE_GAMES + 1)
+    timing = tables.read(run.folder, tables.TIMING).tail(PACE_GAMES + 1)
     if len(timing) < 2:
         return np.nan
     return (timing.seconds.iloc[-1] - timing.seconds.iloc[0]) / (len(timing) - 1)

@@ -205,7 +205,7 @@ class Recorder:
     def _refuse_to_overwrite(self) -> None:
         """Raises RunError if games are stored that cannot be continued."""
         path = self.run.folder / "episodes.csv"
-        games = len(path.read_text("utf-8").splitlines()) - 1 if path.exists() else 0
+        games = path.read_bytes().count(b"\n") - 1 if path.exists() else 0
         if games > 0:
             raise RunError(
                 f"{self.run.folder} holds {games} games, but their checkpoint is not in "

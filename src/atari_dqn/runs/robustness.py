@@ -20,7 +20,7 @@ from tqdm import tqdm
 
 from atari_dqn.envs import AtariEnv, EpisodeRecord, make_env
 from atari_dqn.params import Parameters
-from atari_dqn.runs import records
+from atari_dqn.runs import records, tables
 from atari_dqn.runs.files import write_atomically
 from atari_dqn.runs.run import COMPLETE, Run, as_trained
 
@@ -51,7 +51,8 @@ def measure(run: Run) -> None:
 
     model = run.folder / "model.safetensors"
     trained = models.trained_games(model)
-    if run.robustness.exists() and set(pd.read_csv(run.robustness).trained_games) == {trained}:
+    stored = tables.read_file(run.robustness, tables.ROBUSTNESS)
+    if len(stored) and set(stored.trained_games) == {trained}:
         return
     trials = [*_sequence(run, trained), *_mirrored(run, trained)]
     columns = [field.name for field in fields(Trial)]
@@ -92,7 +93,7 @@ def best_game(run: Run, trained: int) -> EpisodeRecord:
     ]
     if not games:
         raise records.RecordError(f"{run.folder} has no evaluation game of its model on record")
-    table = as_trained(pd.read_csv(run.folder / "evaluations.csv"), run.params)
+    table = as_trained(tables.read(run.folder, tables.EVALUATIONS), run.params)
     table = table[table.trained_games == trained]
     best = table.sort_values("game").set_index("game").score.idxmax()
     return next(record for heading, record in games if heading["game"] == best)

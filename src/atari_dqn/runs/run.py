@@ -1,4 +1,4 @@
-"""A run's folder: what training leaves behind, and reading it back as tidy tables.
+"""A run's folder: what training leaves behind (`tables` reads the tables among it).
 
     runs/<experiment>/<agent>/seed-<n>/
         params.yaml         every parameter, resolved
@@ -32,7 +32,7 @@ from typing import TYPE_CHECKING, Any
 from filelock import FileLock, Timeout
 
 from atari_dqn import params
-from atari_dqn.params import TRAINING_VERSION, ParameterError, Parameters
+from atari_dqn.params import TRAINING_VERSION, ParameterError, Parameters, shown
 from atari_dqn.runs import checkpoints
 from atari_dqn.runs.files import RunError
 
@@ -41,6 +41,11 @@ if TYPE_CHECKING:  # it takes half a second to import
 
 COMPLETE, RUNNING, INTERRUPTED, FAILED = "complete", "running", "interrupted", "failed"
 MISSING, STALE = "missing", "stale"
+# What everybody reads of these files
+SAYS: dict[str, dict[str, type]] = {
+    "status.json": {"state": str, "episodes_done": int},
+    "provenance.json": {"training_version": int, "identity": str, "sessions": list},
+}
 RESTART = "--restart (make: RESTART=1) begins again, and keeps what is stored in a folder beside"
 
 
@@ -137,21 +142,11 @@ class Run:
 
     def status(self) -> dict[str, Any]:
         """What status.json holds. Raises RunError if it is damaged, as `provenance` does."""
-        return self._stored("status.json")
+        return stored_json(self.folder, "status.json")
 
     def provenance(self) -> dict[str, Any]:
         """Where the stored run comes from."""
-        return self._stored("provenance.json")
-
-    def _stored(self, name: str) -> dict[str, Any]:
-        path = self.folder / name
-        try:
-            return json.loads(path.read_bytes())
-        except (OSError, ValueError) as error:
-            raise RunError(
-                f"{path} is missing or damaged ({error}); restore it, or move {self.folder} away: "
-                "a run that has a checkpoint comes back whole"
-            ) from None
+        return stored_json(self.folder, "provenance.json")
 
     def changes(self) -> list[str]:
         """How the stored run differs from what `params` ask for now; empty if it matches."""
@@ -217,6 +212,25 @@ class Run:
             return True
 
 
+def stored_json(folder: Path, name: str) -> dict[str, Any]:
+    """What status.json or provenance.json of a run's folder holds. Raises RunError if it is
+    missing, or does not say what every such file says."""
+    path = folder / name
+    try:
+        values = json.loads(path.read_bytes())
+        if not isinstance(values, dict):
+            raise ValueError(f"{shown(values)} is no mapping")
+        for key, kind in SAYS[name].items():
+            if not isinstance(values.get(key), kind):
+                raise ValueError(f"{key}: {shown(values.get(key))} should be a {kind.__name__}")
+    except (OSError, ValueError, RecursionError) as error:
+        raise RunError(
+            f"{path} is missing or damaged ({error}); restore it, or move {folder} away: "
+            "a run that has a checkpoint comes back whole"
+        ) from None
+    return values
+
+
 def _contents(folder: Path) -> list[Path]:
     """What a run's folder holds besides its lock."""
     return [path for path in folder.glob("*") if path.name != ".lock"]
@@ -252,21 +266,3 @@ def as_trained(table: "pd.DataFrame", parameters: Parameters) -> "pd.DataFrame":
         & (table.sticky_actions == parameters.sticky_actions)
         & (table.epsilon == parameters.evaluation_epsilon)
     ]
-
-
-def read_table(runs: list[Run], name: str) -> "pd.DataFrame":
-    """One table of all runs' `name` (episodes.csv, ...), with experiment, variation, agent and
-    seed."""
-    import pandas as pd
-
-    tables = [
-        pd.read_csv(run.folder / name).assign(
-            experiment=run.params.experiment,
-            variation=run.variation,
-            agent=run.agent,
-            seed=run.seed,
-        )
-        for run in runs
-        if (run.folder / name).exists()
-    ]
-    return pd.concat(tables, ignore_index=True) if tables else pd.DataFrame()

@@ -10,7 +10,7 @@ from tqdm import tqdm
 from atari_dqn.envs import EpisodeRecord
 from atari_dqn.games import GAMES
 from atari_dqn.params import Parameters
-from atari_dqn.runs import records
+from atari_dqn.runs import records, tables
 from atari_dqn.runs.files import write_atomically
 from atari_dqn.runs.run import Run
 
@@ -44,12 +44,8 @@ class Style:
 
 def measure(run: Run) -> None:
     """Brings a run's file of styles up to date with its records; what is in it is not played
-    again. Raises RecordError if the records cannot be read."""
-    stored = (
-        pd.read_csv(run.styles, dtype={"digest": str}, float_precision="round_trip")
-        if run.styles.exists()
-        else pd.DataFrame()
-    )
+    again. Raises RecordError if the records cannot be read, RunError if the file is damaged."""
+    stored = tables.read_file(run.styles, tables.STYLES)
     known = {(row.episode, row.game, row.digest): row for row in stored.itertuples(index=False)}
     greedy = [
         (heading, record)
