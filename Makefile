@@ -65,7 +65,7 @@ status: $(READY) ## show every run of every experiment
 	$(RUN) atari_dqn experiments status --profile $(PROFILE) $(RESULTS_OPTION)
 
 verify: $(READY) ## play games of every stored run again and compare them with its tables
-	$(RUN) atari_dqn verify $(wildcard $(or $(RESULTS),results)/runs/*/*/seed-*)
+	$(RUN) atari_dqn verify --profile $(PROFILE) $(RESULTS_OPTION)
 
 # loadfile: what the tests of a file share is made once
 test: $(READY) ## run the tests

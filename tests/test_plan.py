@@ -62,6 +62,38 @@ def command(monkeypatch, capsys, *arguments):
     return ended.value.code, said.out.splitlines(), said.err.splitlines()
 
 
+def test_all_stored_runs_are_verified_in_one_command_and_each_that_differs_is_named(
+    project, monkeypatch, capsys
+):
+    def verified(*arguments):
+        code, lines, errors = command(monkeypatch, capsys, "verify", *arguments)
+        return code, lines, [line for line in errors if line.startswith("error")]  # no bars
+
+    code, lines, errors = verified()
+    assert (code, lines) == (1, [])
+    assert errors == [f"error: no run is stored in {project / 'results' / 'runs'}"]
+    first, second = train(project, "small"), train(project, "small", gamma=0.5)
+    code, lines, errors = verified("--episodes", 2)
+    assert (code, errors) == (0, [])
+    said = "2 games played again, all as the tables say"
+    assert lines == [f"{run.folder}: {said}" for run in (first, second)]
+    path = first.folder / "episodes.csv"
+    table = pd.read_csv(path)
+    table.assign(score=table.score + 1).to_csv(path, index=False)
+    write(project, "bad", gamma=2)
+    code, lines, errors = verified("--episodes", 2)
+    assert (code, lines) == (1, [f"{second.folder}: {said}"])
+    assert "gamma: 2 is not allowed" in errors[0]
+    assert errors[1].startswith("error: training game (episode 1): score is")
+    assert len(errors) == 2
+    path.write_text(path.read_text() + "3,")
+    code, lines, errors = verified(first.folder, second.folder)
+    assert (code, len(lines)) == (1, 1)
+    assert errors == [f"error: {path}, line 4: '3,' is cut short, without a new line"]
+    code, _, errors = verified(second.folder, "--profile", "quick")
+    assert (code, len(errors)) == (2, 1)
+
+
 def test_changed_runs_are_known_by_what_differs_and_compared_in_one_figure(
     project, monkeypatch, capsys
 ):

@@ -256,9 +256,24 @@ def export(
     print(f"{path}: {games} game{'s' * (games != 1)}")
 
 
+def _all_stored(profile: str, results: Path | None) -> tuple[list[Path], list[ParameterError]]:
+    """The folders of all stored runs, and why some of them, or their files, cannot be read. Raises
+    RunError if there is none."""
+    from atari_dqn.runs import plan
+
+    runs, refused = plan.known(profile, [], results)
+    found = [run.folder for run in runs if (run.folder / params.STORED).exists()]
+    if not found and not refused:
+        raise RunError(f"no run is stored in {results_folder(profile, results) / 'runs'}")
+    return found, [ParameterError(line) for line in refused]
+
+
 @app.command()
 def verify(
-    run_dirs: Annotated[list[Path], typer.Argument(help="Stored runs' folders, .../seed-N.")],
+    run_dirs: Annotated[
+        list[Path] | None,
+        typer.Argument(help="Stored runs' folders, .../seed-N; all if none is named."),
+    ] = None,
     episodes: Annotated[
         int | None,
         typer.Option(min=1, help="How many games of a run, evenly spaced; 20 by default."),
@@ -267,10 +282,22 @@ def verify(
         bool,
         typer.Option("--all", help="All games, the greedy ones behind values.csv too: an hour."),
     ] = False,
+    results: Results = None,
+    profile: Profile = "full",
 ) -> None:
-    """Play games of a run again and compare them with its tables; exit 1 at a difference."""
+    """Play games of runs again and compare them with their tables, a line a run.
+
+    Exits with 1 if one is damaged or differs from its records, else with 2 if a file of parameters
+    cannot be read; the others are compared all the same.
+    """
     if everything and episodes is not None:
         raise ParameterError("--episodes: --all plays every game; leave out one of the two")
+    if run_dirs and (results is not None or profile != "full"):
+        raise ParameterError("--results, --profile: they choose among all runs; name runs, or none")
+    failures: list[int] = []
+    if not run_dirs:
+        run_dirs, refused = _all_stored(profile, results)
+        failures += map(_tell, refused)
 
     from tqdm import tqdm
 
@@ -280,9 +307,15 @@ def verify(
         checked = audit.verify(run_dir, None if everything else episodes or 20)
         # after a second, in which what cannot be read is refused
         bar = tqdm(checked, desc="verifying", unit="game", mininterval=2, leave=False, delay=1)
-        count = sum(1 for _ in bar)
-        games = f"{count} game{'s' * (count != 1)}"
-        print(f"{run_dir}: {games} played again, all as the tables say")
+        try:
+            count = sum(1 for _ in bar)
+        except (ParameterError, RunError, OSError) as error:
+            failures.append(_tell(error))
+        else:
+            games = f"{count} game{'s' * (count != 1)}"
+            print(f"{run_dir}: {games} played again, all as the tables say")
+    if failures:
+        raise typer.Exit(min(failures))
 
 
 @experiments_app.command()
@@ -388,18 +421,20 @@ def main() -> None:
             said = f"error: {params.printable(said)}"
         print(said, file=sys.stderr)
         sys.exit(2)
-    except ParameterError as error:
-        print(f"error: {error}", file=sys.stderr)
-        sys.exit(2)
-    except RunError as error:
-        print(f"error: {error}", file=sys.stderr)
-        sys.exit(1)
-    except OSError as error:
+    except (ParameterError, RunError, OSError) as error:
+        sys.exit(_tell(error))
+
+
+def _tell(error: Exception) -> int:
+    """Says on stderr, in one line, what a user can mend; returns the exit status. Raises an OSError
+    of no file again."""
+    said = str(error)
+    if isinstance(error, OSError):
         if error.filename is None:
-            raise
+            raise error
         said = params.printable(f"{error.filename}: {error.strerror}")
-        print(f"error: {said}", file=sys.stderr)
-        sys.exit(2)
+    print(f"error: {said}", file=sys.stderr)
+    return 1 if isinstance(error, RunError) else 2
 
 
 if __name__ == "__main__":
