@@ -119,8 +119,8 @@ def test_conditions_are_rows_of_their_own(tmp_path, shown):
     rows = shown.tables["tbl-boxing-expert-conditions"]
     columns = ("difficulty", "sticky", "mean score", "won", "by knock-out", "in seconds")
     assert [tuple(row[name] for name in columns) for row in rows] == [
-        ("3", "0", "50.0", "100%", "0%", "–"),
         ("1", "0", "40.0", "100%", "25%", "60"),
+        ("3", "0", "50.0", "100%", "0%", "–"),
         ("3", "0.25", "30.0", "0%", "0%", "–"),
     ]
     assert numbers(shown.captions["tbl-boxing-expert-conditions"])[:2] == [3, 0], "as trained"
@@ -248,7 +248,7 @@ def test_the_styles_along_training_have_a_panel_per_measure_and_a_line_per_agent
     for agent, base in ((DOUBLE, 1.0), (DQN, 2.0)):
         run = store(tmp_path, "boxing_final", agent, np.zeros(300))
         curve = base * np.array([1.0, 2.0, 3.0])
-        how = {"distance": 10 * curve, "reach": curve / 10, "punches": curve}
+        how = {"distance": 10 * curve, "reach": curve / 10, "punches": curve.astype(int)}
         style(run, np.zeros(3), **how, conceded=2 * curve)
     results.show_learning_style(study(tmp_path)["boxing_final"])
     panels = shown.figures["fig-boxing-final-style"].axes
@@ -269,9 +269,10 @@ def test_the_styles_along_training_have_a_panel_per_measure_and_a_line_per_agent
 
 def test_a_change_of_style_is_told_with_the_games_after_which_half_of_it_is_done(tmp_path, shown):
     run = store(tmp_path, "boxing_final", DQN, np.zeros(2000))
-    rise = np.repeat([1.0, 2.0], [8, 12]) + np.tile([-0.01, 0.01, 0, -0.01, 0.01], 4)
+    rise = np.repeat([1.0, 2.0], [8, 12]) + np.tile([-0.05, 0.05, 0, -0.05, 0.05], 4)
     flat = np.tile([4.0, 6.0], 10)
-    how = {"scored": 40.0 * rise, "punches": 20 * rise, "reach": 0.5 * rise, "distance": 10 * flat}
+    how = {"scored": 40.0 * rise, "reach": 0.5 * rise, "distance": 10 * flat}
+    how["punches"] = (20 * rise).round().astype(int)
     style(run, np.zeros(20), **how, conceded=2 * flat)
     section = study(tmp_path)["boxing_final"]
     results.show_learning_style(section)

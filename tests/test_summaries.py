@@ -394,11 +394,11 @@ def test_the_reading_of_values_is_the_mean_error_and_the_last_check_of_each_agen
     said = summaries.values_reading(study(tmp_path)["boxing_final"])
     assert facts(said) == ["DQN", 3.0, 3, 9.0, 3.0, 300]
     assert "3.0 more" in said
-    early = pd.concat([values.assign(predicted=-FAR)] * 2)  # an untrained network's
-    late = values.iloc[[0] * 10].assign(predicted=1.0, realised=[*[1.5] * 9, 2.0], episode=900)
-    pd.concat([early, late]).to_csv(path, index=False)
+    run = store(tmp_path, "boxing_final", DQN, np.full(1300, 5.0))
+    predicted = np.repeat([-FAR, 1.0], [3, 10])  # the first ones an untrained network's
+    check(run, np.zeros(13), predicted=predicted, realised=np.repeat([0, 1.5, 2.0], [3, 9, 1]))
     said = summaries.values_reading(study(tmp_path)["boxing_final"])
-    assert facts(said) == ["DQN", 0.6, 10, 1.0, 2.0, 900]
+    assert facts(said) == ["DQN", 0.6, 10, 1.0, 2.0, 1300]
     assert "0.6 less" in said
     assert summaries.values_reading(study(tmp_path)["breakout_final"]) == ""
 
