@@ -192,7 +192,7 @@ def test_a_reading_gives_the_claims_about_its_experiment_with_number_verdict_and
 
 def test_the_newest_greedy_games_are_those_of_an_evaluation_not_long_ago(tmp_path):
     """An evaluation counts until the checks along the way are more than a hundred games newer."""
-    run = store(tmp_path, "boxing_final", DQN, np.full(900, 5.0))
+    run = store(tmp_path, "boxing_final", DQN, np.full(500, 5.0))
     check(run, np.array([0.0, 10.0, 20.0, 30.0, 40.0]))
     for trained, expected in ((400, [400, 7.0, 40]), (399, [VALUE_GAMES, 500, 40.0])):
         evaluate(run, trained=trained, score=7.0)
