@@ -3,6 +3,8 @@
 import contextlib
 import io
 import json
+import os
+import signal
 import sys
 import time
 
@@ -162,7 +164,20 @@ def test_many_files_behind_one_are_refused(folder):
 
 
 def test_a_device_that_never_ends_is_refused(folder):
-    assert "10,000 bytes at most" in refusal(folder, "train", "/dev/zero")
+    assert "must be a regular file" in refusal(folder, "train", "/dev/zero")
+
+
+def test_a_pipe_that_says_nothing_is_refused_and_not_waited_for(folder):
+    os.mkfifo(folder / "pipe.yaml")
+    (folder / "on_it.yaml").write_text("base: pipe.yaml")
+    before = signal.signal(signal.SIGALRM, lambda *_: pytest.fail("it waits"))
+    signal.alarm(300)
+    try:
+        assert "pipe.yaml: must be a regular file" in refusal(folder, "train", "pipe.yaml")
+        assert "base: 'pipe.yaml' is not allowed" in refusal(folder, "train", "on_it.yaml")
+    finally:
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, before)
 
 
 LISTS = ("seeds", "snapshot_games")  # of numbers
@@ -254,6 +269,9 @@ def test_any_file_is_taken_whole_or_refused_in_a_line(folder, content):
         (["evaluate", ".", "--video", "a\nb.avi"], r"--video 'a\nb.avi'"),
         (["watch", ".", "--difficulty", "easy"], "'--difficulty'"),
         (["replay", "no\nwhere", "--episode", "1"], r"no\nwhere/params.yaml: no such file"),
+        (["replay", ".", "--episode", "9" * 400], "'--episode'"),
+        (["export", ".", "games.npz", "--first", "9" * 400], "'--first'"),
+        (["verify", ".", "--episodes", "9" * 400], "'--episodes'"),
         (["export", ".", "games.txt"], "path 'games.txt'"),
         (["verify", "nowhere"], "nowhere/params.yaml: no such file"),
         (["report", "--profile", "../other"], "profile: '../other' is not allowed"),
@@ -372,7 +390,12 @@ def test_any_parameters_of_a_notebook_are_a_run_or_refused_in_a_line(values):
     [
         ({"device": "cuda"}, "device: 'cuda' is not allowed"),
         ({"device": "cuda", "learner": "native"}, "learner: 'native' is not allowed"),
-        ({"initial_weights": "other"}, "starts from other/double_dqn/seed-1, which is missing"),
+        (
+            {"initial_weights": "other"},
+            "starts from other/double_dqn/seed-1, which is missing; train that one to its end "
+            "first: `python -m atari_dqn experiments run other` does, or `train` with its file, "
+            "--agent double_dqn and --seed 1",
+        ),
     ],
 )
 def test_a_run_that_cannot_begin_here_leaves_no_folder(folder, small, monkeypatch, changes, said):

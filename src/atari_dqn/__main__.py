@@ -218,7 +218,7 @@ def watch(
 @app.command()
 def replay(
     run_dir: RunFolder,
-    episode: Annotated[int, typer.Option(min=1, help="The training game.")],
+    episode: Annotated[int, typer.Option(min=1, max=params.MOST, help="The training game.")],
     video: Annotated[Path | None, typer.Option(help="Make a video of it.")] = None,
 ) -> None:
     """Play a training game again from its record."""
@@ -244,8 +244,10 @@ def replay(
 def export(
     run_dir: RunFolder,
     path: Annotated[Path, typer.Argument(help="The .npz file to write.")],
-    first: Annotated[int, typer.Option(min=1, help="The first training game.")] = 1,
-    last: Annotated[int, typer.Option(min=1, help="The last one.")] = 10,
+    first: Annotated[
+        int, typer.Option(min=1, max=params.MOST, help="The first training game.")
+    ] = 1,
+    last: Annotated[int, typer.Option(min=1, max=params.MOST, help="The last one.")] = 10,
 ) -> None:
     """Write training games as arrays to learn from offline: images, actions, rewards."""
     _writable(path, "path", ".npz")
@@ -276,7 +278,9 @@ def verify(
     ] = None,
     episodes: Annotated[
         int | None,
-        typer.Option(min=1, help="How many games of a run, evenly spaced; 20 by default."),
+        typer.Option(
+            min=1, max=params.MOST, help="How many games of a run, evenly spaced; 20 by default."
+        ),
     ] = None,
     everything: Annotated[
         bool,

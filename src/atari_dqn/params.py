@@ -374,6 +374,8 @@ def _is_name(value: Any) -> bool:
 
 def _read_file(path: Path) -> dict[str, Any]:
     try:
+        if path.exists() and not (path.is_file() or path.is_dir()):  # a pipe may never say a word
+            raise ParameterError(f"{path}: must be a regular file")
         with path.open("rb") as file:
             data = file.read(LARGEST_FILE + 1)
         if len(data) > LARGEST_FILE:

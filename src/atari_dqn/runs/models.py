@@ -87,7 +87,11 @@ def initial_weights(run: Run) -> dict[str, torch.Tensor] | None:
     if source is None:
         return None
     if source.state() != COMPLETE:
-        raise RunError(f"{run.name} starts from {source.name}, which is {source.state()}")
+        raise RunError(
+            f"{run.name} starts from {source.name}, which is {source.state()}; train that one to "
+            f"its end first: `python -m atari_dqn experiments run {source.experiment}` does, or "
+            f"`train` with its file, --agent {source.agent} and --seed {source.seed}"
+        )
     try:
         return read_model(source.folder / "model.safetensors")
     except RunError as error:
