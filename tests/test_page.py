@@ -14,8 +14,11 @@ import pytest
 import typst
 from nbformat.v4 import new_code_cell, new_markdown_cell, new_notebook, new_output
 from PIL import Image
+from synthetic import store
 
-from atari_dqn.report import build, crossrefs
+from atari_dqn.analysis.study import run_table
+from atari_dqn.report import build, crossrefs, outputs
+from atari_dqn.runs.run import Run
 
 GREEN = (0, 160, 0)  # of a picture in a drawing, as the game's are
 WORDS = "The agent plays on, and the score says how well. " * 12
@@ -145,6 +148,25 @@ def video(label):
     return new_output("display_data", data, metadata={"image/png": info})
 
 
+HOSTILE = (
+    "<script>window.injected = 1</script><img src=x onerror='injected = 1'> "
+    "</table><b>b</b> | `a` *c* $d$ [e](javascript:1) {#sec-start} @fig-none [-@none] &lt; \\"
+)
+
+
+def hostile_table(folder):
+    """What a notebook shows of a run whose files say what they should not."""
+    session = {"processor": HOSTILE, "commit": "`<b>`<i>", "device": "cpu"}
+    run = store(folder, "boxing_final", "dqn", [1.0], sessions=[session], identity="`<b>`<i>")
+    shown = []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Run, "state", lambda run: "complete")  # else it is stale
+        patch.setattr(outputs, "display", lambda data, metadata: shown.append((data, metadata)))
+        outputs.show_table(run_table([run]), label="tbl-hostile", caption="A run.")
+    ((data, metadata),) = shown
+    return new_output("display_data", {"text/markdown": data.data}, metadata=metadata)
+
+
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
     """The folder of a small report."""
@@ -155,6 +177,7 @@ def made(tmp_path_factory):
         new_markdown_cell(TEXT),
         *(new_code_cell("show()", outputs=[one]) for one in [*shown, video("vid-second")]),
         new_markdown_cell("[]{#fig-later .absent}"),
+        new_code_cell("show()", outputs=[hostile_table(folder / "results")]),
         new_markdown_cell(APPENDIX),
     ]
     nbformat.write(new_notebook(cells=cells), folder / "00_small.ipynb")
@@ -540,3 +563,17 @@ def test_a_listing_breaks_between_definitions_and_nowhere_else(made):
     listings = re.findall(r"^#Skylighting\(\((.*?)\)\);$", paper, re.MULTILINE | re.DOTALL)
     assert [len(re.findall("Tok..def", one)) for one in listings[:2]] == [1, 1]
     assert "breakable: lines.len() > 60" in paper
+
+
+# Trust
+
+
+def test_what_a_run_has_stored_is_shown_as_it_is_and_never_obeyed(show, made):
+    page = show()
+    cells = page("[...document.querySelectorAll('#tbl-hostile td')].map(td => td.textContent)")
+    assert HOSTILE in cells
+    assert cells.count("??b???i?") == 2, "the commit and the hash"
+    inside = page("[...document.querySelectorAll('#tbl-hostile td *')].map(one => one.localName)")
+    assert set(inside) == {"code"}, "of names and hashes"
+    assert page("typeof window.injected") == "undefined"
+    assert page("document.querySelectorAll('script:not([type])').length") == 1, "the report's own"

@@ -1,6 +1,7 @@
 """The stored runs that a section of the report is about."""
 
 import copy
+import re
 from functools import cache, cached_property
 from typing import Any
 
@@ -327,7 +328,7 @@ def on_gpu(run: Run) -> bool:
 def _machines(sessions: list[dict[str, Any]]) -> str:
     """What trained a run, one after the other."""
     names = [
-        ("" if session["device"] == "cpu" else "GPU beside ") + session["processor"]
+        ("" if session["device"] == "cpu" else "GPU beside ") + _as_text(session["processor"])
         for session in sessions
     ]
     return ", then ".join(dict.fromkeys(names))
@@ -380,7 +381,7 @@ def run_table(runs: list[Run]) -> pd.DataFrame:
                 "resumes": stored["resumes"],
                 "trained on": _machines(stored["sessions"]),
                 "commits": ", ".join(commits),
-                "hash": f"`{stored['identity'][:8]}`",
+                "hash": _code(stored["identity"]),
             }
         )
     columns = ["experiment", "agent", "seed", "state", "games", "agent steps", "hours", "resumes"]
@@ -389,4 +390,15 @@ def run_table(runs: list[Run]) -> pd.DataFrame:
 
 def _short(commit: str) -> str:
     """A commit's first digits, with a + if files differed from it."""
-    return f"`{commit[:8]}{'+' * commit.endswith('+')}`"
+    return _code(commit, "+" * commit.endswith("+"))
+
+
+def _code(digits: str, more: str = "") -> str:
+    """The first eight of some digits in Markdown, whatever else has been put in their place."""
+    return f"`{re.sub(r'[^a-z0-9+]', '?', digits[:8])}{more}`"
+
+
+def _as_text(stored: object) -> str:
+    """Something stored as Markdown that shows it as it is: files from elsewhere may hold markup."""
+    line = " ".join(str(stored).split())
+    return re.sub(r"[^A-Za-z0-9 ().,:/+-]", lambda odd: f"&#{ord(odd[0])};", line)

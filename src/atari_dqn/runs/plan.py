@@ -209,7 +209,7 @@ def _said(run: Run) -> str:
     if state in (INTERRUPTED, FAILED) and not checkpoints.exist(run.state_folder):
         return f"{state} (no checkpoint here: --restart)"
     if state == FAILED:
-        return f"{state} ({run.status().get('error', 'no reason stored')})"
+        return params.printable(f"{state} ({run.status().get('error', 'no reason stored')})")
     return state
 
 

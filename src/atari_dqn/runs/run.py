@@ -210,6 +210,8 @@ class Run:
                 return False
         except Timeout:
             return True
+        except OSError:  # a folder that cannot be written to: nobody trains there
+            return False
 
 
 def stored_json(folder: Path, name: str) -> dict[str, Any]:
@@ -223,6 +225,8 @@ def stored_json(folder: Path, name: str) -> dict[str, Any]:
         for key, kind in SAYS[name].items():
             if not isinstance(values.get(key), kind):
                 raise ValueError(f"{key}: {shown(values.get(key))} should be a {kind.__name__}")
+        if values.get("state", COMPLETE) not in (COMPLETE, RUNNING, INTERRUPTED, FAILED):
+            raise ValueError(f"state: {shown(values['state'])} is none that a run can be in")
     except (OSError, ValueError, RecursionError) as error:
         raise RunError(
             f"{path} is missing or damaged ({error}); restore it, or move {folder} away: "
