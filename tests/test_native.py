@@ -1,11 +1,14 @@
 """The learner in C++ is held to 64-bit arithmetic and to itself; test_agents.py has more."""
 
+import ctypes
 import hashlib
 import os
 import re
 import shutil
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -378,9 +381,32 @@ def test_a_compiler_that_fails_is_quoted_and_the_next_one_tried(
     assert native.compiled().parent == quick
 
 
-def test_a_processor_without_the_instructions_is_refused(quick):
+def test_on_a_processor_without_the_instructions_pytorch_learns_and_says_so(quick, small):
+    native._say_once.cache_clear()
     with pytest.raises(Unavailable, match="this processor lacks AVX2 or FMA"):
         native.load()
+    with pytest.warns(UserWarning, match="PyTorch learns.*: this processor lacks AVX2 or FMA"):
+        assert new_learner(AGENTS["dqn"], 6, small(device="cpu"), 1).kind == "torch"
+
+
+def test_asking_a_processor_for_the_instructions_takes_none_of_them():
+    """Else it would be the end of the process on the very machines that lack them."""
+    if shutil.which("objdump") is None:
+        pytest.skip("objdump is not installed")
+    library = native.compiled()
+    asking, whole = (
+        subprocess.run(
+            ["objdump", "--no-show-raw-insn", *options, library],
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout
+        for options in (["--disassemble=processor_suffices"], ["--syms"])
+    )
+    assert "ret" in asking
+    assert not re.search(r"%[xyz]mm|\tv[a-z]+ ", asking)
+    assert "learner_update" in whole
+    assert "_GLOBAL__sub_I" not in whole, "something runs as soon as the library is loaded"
 
 
 def test_a_damaged_library_is_compiled_anew(quick):
@@ -390,6 +416,31 @@ def test_a_damaged_library_is_compiled_anew(quick):
     with pytest.raises(Unavailable, match="lacks AVX2"):
         native.load()
     assert library.read_bytes() == whole
+
+
+def test_a_build_that_is_killed_leaves_nothing_that_is_used(quick, tmp_path):
+    """Half the library is written when the machine, or somebody, ends it."""
+    compiler = tmp_path / "compiler"
+    compiler.write_text(
+        '#!/bin/sh\n[ "$1" = --version ] && exec c++ --version\n[ -e "$0.once" ] && exec c++ "$@"\n'
+        'while [ "$1" != -o ]; do shift; done\nprintf "\\177ELF half" > "$2"\n'
+        'touch "$0.once"; exec sleep 600\n'
+    )
+    compiler.chmod(0o755)
+    code = "import pathlib, sys; from atari_dqn import native; "
+    code += "native.SOURCE = pathlib.Path(sys.argv[1]); native.compiled(compiler=sys.argv[2])"
+    command = [sys.executable, "-c", code, str(native.SOURCE), str(compiler)]
+    building = subprocess.Popen(command, start_new_session=True)
+    while not compiler.with_name("compiler.once").exists():
+        assert building.poll() is None, "the compiler was not called"
+        time.sleep(0.02)
+    assert len(list(quick.rglob("*.so"))) == 1, "the half"
+    os.killpg(building.pid, signal.SIGKILL)
+    building.wait()
+    library = native.compiled(compiler=str(compiler))
+    assert library.parent == quick
+    with pytest.raises(Unavailable, match="lacks AVX2"):
+        native.load(library)
 
 
 def test_without_a_home_there_is_one_plain_line(monkeypatch):
@@ -424,3 +475,63 @@ def test_the_native_learner_is_had_where_it_is_asked_for_beside_a_gpu_too(small,
     for learner, expected in (("auto", "on the GPU"), ("torch", "on the GPU")):
         assert new_learner(AGENTS["dqn"], 6, small(learner=learner), 1) == expected
     assert new_learner(AGENTS["dqn"], 6, small(learner="native"), 1).kind == "native"
+
+
+# ---- Its memory ----------------------------------------------------------------------------------
+
+SANITIZED = ("-O0", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
+ROUNDED = "std::aligned_alloc(4096, (n * sizeof(X) + 4095) / 4096 * 4096)"
+
+
+def test_updates_of_every_shape_touch_no_memory_but_their_own_and_give_it_back(tmp_path):
+    """`fuzz_learner.cpp` under the address, leak and undefined behaviour sanitizers. Its arrays end
+    where their contents do, not at the next page."""
+    compiler = shutil.which("g++") or shutil.which("clang++")
+    if compiler is None:
+        pytest.skip("no C++ compiler is installed")
+    source = native.SOURCE.read_text()
+    assert source.count(ROUNDED) == 1
+    exact = source.replace(ROUNDED, "std::malloc(n * sizeof(X))")
+    (tmp_path / "learner.cpp").write_text(exact)
+    flags = [flag for flag in native.FLAGS if flag not in ("-O3", "-shared", "-fPIC")]
+    fuzz, program = Path(__file__).with_name("fuzz_learner.cpp"), tmp_path / "fuzz"
+    build = [compiler, *flags, *SANITIZED, "-I", tmp_path, fuzz, "-o", program]
+    done = subprocess.run(build, capture_output=True, text=True)
+    if "cannot find" in done.stderr:
+        pytest.skip(f"this compiler has no sanitizers: {done.stderr.splitlines()[0]}")
+    assert done.returncode == 0, done.stderr
+    leaks = {"ASAN_OPTIONS": f"detect_leaks={int(sys.platform == 'linux')}"}
+    done = subprocess.run([program], capture_output=True, text=True, env={**os.environ, **leaks})
+    assert (done.returncode, done.stdout, done.stderr) == (0, "done\n", "")
+
+
+MALLINFO = ("arena", "ordblks", "smblks", "hblks", "hblkhd", "usmblks", "fsmblks")
+MALLINFO += ("used", "free", "keep")
+
+
+def allocated():
+    """Bytes that malloc has given out in this process."""
+
+    class Found(ctypes.Structure):
+        _fields_ = [(name, ctypes.c_size_t) for name in MALLINFO]
+
+    mallinfo = ctypes.CDLL(None).mallinfo2
+    mallinfo.restype = Found
+    found = mallinfo()
+    return found.hblkhd + found.used
+
+
+@pytest.mark.skipif(not hasattr(ctypes.CDLL(None), "mallinfo2"), reason="glibc counts its memory")
+def test_memory_does_not_grow_from_update_to_update():
+    """By byte, so that few updates tell what ten thousand would."""
+    parameters = Parameters(experiment="any", frame_stack=1, freeze_convolutions=True)
+    learner = NativeLearner(AGENTS["dqn"], 2, parameters, 1)
+    batch, grown = batch_of(np.random.default_rng(0), 1, 1, 2), []
+    for updates in (20, 50, 250):  # the first ones are from empty
+        before = allocated()
+        for _ in range(updates):
+            learner.learn(batch)
+            learner.q_values(batch.s_t)
+        grown.append(allocated() - before)
+    assert grown[0] > 10**6, "it is not counted"
+    assert grown[2] < grown[1] + 200 * 16, "the least that malloc gives"

@@ -95,7 +95,7 @@ def _compiled_by(compiler: list[str], flags: tuple[str, ...]) -> Path:
                 unfinished.replace(library)
     except subprocess.CalledProcessError as error:
         lines = error.stderr.splitlines() or [f"exit status {error.returncode}"]
-        told = next((line for line in lines if "error" in line), lines[-1])
+        told = next((line for line in lines if "error" in line or "failed" in line), lines[-1])
         raise Unavailable(f"{compiler[0]} cannot compile {SOURCE.name}: {told}") from None
     except OSError as error:
         raise Unavailable(f"{error.filename}: {error.strerror}") from None
