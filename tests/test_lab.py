@@ -3,10 +3,12 @@
 import json
 import os
 import re
+import shlex
 import socket
 import subprocess
 import sys
 import time
+import urllib.error
 import urllib.request
 from pathlib import Path
 from types import SimpleNamespace
@@ -229,3 +231,47 @@ def keep(tab, name):
     """Leaves a screenshot for whoever asks for them."""
     if folder := os.environ.get("ATARI_DQN_SCREENSHOTS"):
         (Path(folder) / f"{name}.png").write_bytes(tab.picture())
+
+
+def answer(url):
+    """The status with which a server answers, 0 if none does."""
+    try:
+        with urllib.request.urlopen(url) as found:
+            return found.status
+    except urllib.error.HTTPError as error:
+        return error.code
+    except OSError:
+        return 0
+
+
+def test_what_make_lab_starts_answers_this_machine_alone_and_only_to_its_token(tmp_path):
+    command = subprocess.run(
+        ["make", "--dry-run", "lab"], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    (options,) = re.findall(r"/jupyter (lab .*)", command.stdout.replace("\\\n", " "))
+    folders = {f"JUPYTER_{name}_DIR": str(tmp_path / name) for name in ("CONFIG", "RUNTIME")}
+    server = subprocess.Popen(
+        [sys.executable, "-m", "jupyter", *shlex.split(options), "--no-browser"],
+        cwd=ROOT,
+        env={**os.environ, **folders},
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    try:
+        end = time.monotonic() + browser.PATIENCE
+        while not (found := list(tmp_path.glob("RUNTIME/jpserver-*.json"))):
+            assert server.poll() is None, "JupyterLab has ended"
+            assert time.monotonic() < end, "JupyterLab does not start"
+            time.sleep(0.2)
+        told = json.loads(found[0].read_text())
+        port, token = told["port"], told["token"]
+        while not answer(f"http://127.0.0.1:{port}/api/status?token={token}"):
+            assert time.monotonic() < end, "JupyterLab does not answer"
+            time.sleep(0.2)
+        assert len(token) >= 32
+        contents = f"http://127.0.0.1:{port}/api/contents"
+        assert [answer(contents), answer(f"{contents}?token={token}")] == [403, 200]
+        assert answer(f"http://127.0.0.2:{port}/api/contents?token={token}") == 0, "another address"
+    finally:
+        server.terminate()
+        server.wait()
