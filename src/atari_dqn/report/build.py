@@ -28,7 +28,7 @@ from tqdm import tqdm
 
 from atari_dqn.report import catalogue, crossrefs, fingerprint
 from atari_dqn.report.execution import execute
-from atari_dqn.runs import plan, records, robustness, scheduler, styles, tables
+from atari_dqn.runs import plan, processes, records, robustness, scheduler, styles, tables
 from atari_dqn.runs.files import RunError, project_root, results_folder
 from atari_dqn.runs.run import stored_json
 
@@ -79,14 +79,16 @@ def _build(profile: str, folder: Path) -> Path:
         text = "\n\n".join(_section(path, made, waiting_for) for path in executed)
         listed, waiting = crossrefs.check_completeness(text, data / "completeness.yaml")
         print(f"{listed} things of the source report have their places; {waiting} wait for runs")
-        names = json.dumps(crossrefs.names(text), indent=0, ensure_ascii=False)
-        (made / "names.json").write_text(names, encoding="utf-8")
+        called = json.dumps(crossrefs.names(text), indent=0, ensure_ascii=False)
+        (made / "names.json").write_text(called, encoding="utf-8")
         text = crossrefs.finish(text) + "\n\n# References {.unnumbered}\n"
         _typeset(text, STAMP[profile], made, _moment(folder))
         target = folder / "report"
         target.mkdir(parents=True, exist_ok=True)
-        for name in ("index.html", "report.pdf", "names.json"):
+        names = ("index.html", "report.pdf", "names.json")
+        for name in names:  # all of them, before the first takes its place
             shutil.copyfile(made / name, target / f".{name}")
+        for name in names:
             (target / f".{name}").replace(target / name)
     if profile == "full":  # the others' agents are no evidence, and nobody's to take
         catalogue.write(profile, snapshot, folder)
@@ -158,7 +160,7 @@ def _execute(profile: str, folder: Path, results: Path) -> list[Path]:
     target = folder / "notebooks"
     stale = _stale(profile, folder, results)
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(scheduler.cores(), mp_context=context) as pool:
+    with ProcessPoolExecutor(scheduler.cores(), context, processes.end_with_parent) as pool:
         jobs = {
             pool.submit(execute, notebook, target, profile, results): (notebook, fresh)
             for notebook, fresh in stale

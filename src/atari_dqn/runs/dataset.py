@@ -16,6 +16,7 @@ from atari_dqn.params import ParameterError, Parameters
 from atari_dqn.replay import PIXELS, ReplayMemory
 from atari_dqn.runs import records
 from atari_dqn.runs.audit import stored_parameters
+from atari_dqn.runs.files import write_atomically
 
 
 @dataclass(frozen=True)
@@ -110,5 +111,5 @@ def export(folder: Path, first: int, last: int, path: Path) -> int:
         for name in Trajectory.__dataclass_fields__
     }
     starts = np.cumsum([0, *lengths[:-1]])
-    np.savez_compressed(path, **fields, episode_starts=starts)
+    write_atomically(path, lambda file: np.savez_compressed(file, **fields, episode_starts=starts))
     return len(games)

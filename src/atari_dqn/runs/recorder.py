@@ -179,7 +179,7 @@ class Recorder:
         self.files = {name: (run.folder / name).open("ab") for name in LOGS}
         for name, data in self.snapshots.items():
             self._write_snapshot(name, data)
-        params.dump(run.params, run.folder / "params.yaml")
+        write_atomically(run.folder / params.STORED, params.text(run.params).encode())
         self.clock, self.cpu_clock = time.monotonic(), time.process_time()
         self.saved_at = self.shown_at = self.seconds
         self.shown_steps = self.trainer.agent_steps

@@ -15,6 +15,7 @@ from atari_dqn.envs import make_env
 from atari_dqn.evaluation import EvaluationEpisode, ValueCheck
 from atari_dqn.native import NativeLearner
 from atari_dqn.params import Parameters
+from atari_dqn.runs.processes import end_with_parent
 from atari_dqn.training import prepare_process
 
 Checked = tuple[ValueCheck, list[EvaluationEpisode]]
@@ -59,6 +60,7 @@ class ValueChecks:
 
 def _prepare() -> None:
     os.setpgrp()  # Ctrl-C and what else is sent to a whole group is for the run to obey
+    end_with_parent()
     prepare_process()
 
 
