@@ -28,3 +28,12 @@ def test_numbers_that_have_moved_or_are_not_there_fail_and_all_are_named():
 
 def test_the_small_profiles_have_other_numbers_and_no_text_about_them():
     assert argument.checked("smoke", {"score": (2.22, 35.9)}) == {"score": "2.2"}
+
+
+def test_a_number_that_a_damaged_run_cannot_tell_stands_and_any_other_must_hold():
+    numbers = {"gone": (None, 31), "of nothing": (float("nan"), 7.1), "kept": (1.0, 1.0)}
+    with pytest.raises(argument.Moved, match=r"gone.*of nothing"):
+        argument.checked("full", numbers)
+    assert argument.checked("full", numbers, {"a run": "is damaged"})["kept"] == "1.0"
+    with pytest.raises(argument.Moved, match="moved on, and this text with them: kept: written"):
+        argument.checked("full", numbers | {"kept": (1.2, 1.0)}, {"a run": "is damaged"})

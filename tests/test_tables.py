@@ -251,6 +251,7 @@ def test_a_section_leaves_a_damaged_run_out_and_names_it(two, shown):
     assert not section.complete
     assert section.damaged[bad.name].startswith(said)
     assert found.stored == [good]
+    assert found.damaged == section.damaged
     notebook.show_badge(section)
     (text,) = shown.texts
     assert "**1 of 3 runs complete**" in text
@@ -258,6 +259,14 @@ def test_a_section_leaves_a_damaged_run_out_and_names_it(two, shown):
     assert f"{bad.name} is damaged and not shown: `{where}'39,97' is cut short" in text
     cost.show_hours(found)
     assert shown.texts[-1].startswith("The 1 stored runs took 30.0 wall-clock hours")
+
+
+def test_a_section_of_damaged_runs_alone_does_not_pass_for_one_that_has_not_begun(two, shown):
+    _, good, _ = two
+    cut(good.folder / tables.TIMING)
+    notebook.show_badge(study(good.results)["boxing_final"])
+    assert "**Nothing to show** of 3 runs of 3,000 games." in shown.texts[0]
+    assert shown.texts[0].count("is damaged and not shown") == 2
 
 
 def test_status_says_what_is_wrong_with_a_run_and_shows_the_others(two):

@@ -305,6 +305,14 @@ class Study:
         return [run for section in self.sections.values() for run in section.runs]
 
     @property
+    def damaged(self) -> dict[str, str]:
+        return {
+            name: said
+            for section in self.sections.values()
+            for name, said in section.damaged.items()
+        }
+
+    @property
     def stored(self) -> list[Run]:
         return [run for section in self.sections.values() for run in section.stored]
 

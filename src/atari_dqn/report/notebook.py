@@ -99,7 +99,9 @@ def show_badge(section: Section) -> None:
     command = f"`python -m atari_dqn experiments run {name}{profile}`"
     count = len(section.runs)
     games = f"{count} run{'s' * (count > 1)} of {section.params.episodes:,} games"
-    if section.episodes.empty:
+    if section.episodes.empty and section.damaged:
+        text = f"**Nothing to show** of {games}."
+    elif section.episodes.empty:
         text = f"**Not started**: {games}. To train them: {command}"
     else:
         share = "less than 1%" if section.share < 0.01 else f"{section.share:.0%}"
