@@ -4,11 +4,13 @@ Anything wrong with a file (an unknown or repeated key, a wrong type, a value ou
 `ParameterError` of one line that names the file, the key, the value and what would be right.
 """
 
+import copy
 import difflib
 import hashlib
 import json
 import re
 from collections.abc import Collection
+from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
@@ -425,6 +427,11 @@ class _Constructor(SafeConstructor):
 
 def _plain_yaml(text: str) -> Any:
     """The value of a YAML document; what it looks like is what it is. Raises YAMLError."""
+    return copy.deepcopy(_parsed(text))  # which whoever asked may change
+
+
+@lru_cache  # by the text: most files have the same bases, and all are asked for again and again
+def _parsed(text: str) -> Any:
     yaml = YAML(typ="safe", pure=True)
     yaml.Composer, yaml.Constructor = _Composer, _Constructor
     return yaml.load(text)

@@ -4,8 +4,9 @@ import ast
 import hashlib
 import json
 import re
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import suppress
+from functools import cache
 from pathlib import Path
 
 from atari_dqn import params
@@ -41,11 +42,11 @@ def _modules(code: str) -> list[Path]:
     """The source files of what `code` imports, directly or through others."""
     files = source_files()
     seen: set[str] = set()
-    waiting = imports(code)
+    waiting = set(imports(code, files))
     while waiting:
         name = waiting.pop()
         seen.add(name)
-        waiting |= imports(files[name].read_text(encoding="utf-8")) - seen
+        waiting |= imports(files[name].read_text(encoding="utf-8"), files) - seen
     return [files[name] for name in sorted(seen)]
 
 
@@ -91,12 +92,18 @@ def source_files() -> dict[str, Path]:
     return files
 
 
-def imports(code: str) -> set[str]:
-    """The project's modules that some code imports."""
+def imports(code: str, modules: Collection[str]) -> frozenset[str]:
+    """Those of the project's modules that some code imports."""
+    return _imported(code).intersection(modules)
+
+
+@cache  # by the code: sections import much the same, and parsing it is most of the work
+def _imported(code: str) -> frozenset[str]:
+    """The names that some code imports from the project, be they modules or what is in them."""
     found: set[str] = set()
     for node in ast.walk(ast.parse(code)):
         if isinstance(node, ast.ImportFrom) and node.module:
             package, _, module = node.module.partition(".")
             if package == "atari_dqn":
                 found |= {module, *(f"{module}.{name.name}".strip(".") for name in node.names)}
-    return found & source_files().keys()
+    return frozenset(found)
