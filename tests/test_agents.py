@@ -211,9 +211,9 @@ def corridor():
 @pytest.mark.parametrize("agent", AGENTS)
 def test_each_agent_finds_the_known_optimum_of_a_small_problem(agent, make, small):
     batch, pictures, optimum = corridor()
-    parameters = small(gamma=0.8, learning_rate=3e-4, target_update_period=20)
+    parameters = small(gamma=0.8, learning_rate=3e-4, target_update_period=10)
     learner = make(AGENTS[agent], 2, parameters, seed=1)
-    for _ in range(240):
+    for _ in range(120):
         learner.learn(batch)
     found = learner.q_values(pictures)
     np.testing.assert_allclose(found, optimum, atol=0.04)
