@@ -158,11 +158,12 @@ def test_a_game_is_described_by_what_its_emulator_says_at_its_end(small, monkeyp
         )
 
 
-def test_held_out_states_are_the_same_for_all_runs_and_not_alike(small):
+def test_held_out_states_are_the_same_for_all_runs_and_not_alike(small, monkeypatch):
     states = held_out_states(small(max_game_frames=2000))
-    again = held_out_states(small(max_game_frames=2000, seeds=[9], gamma=0.5))
-    np.testing.assert_array_equal(states, again)
     assert len({state.tobytes() for state in states}) > 500
+    monkeypatch.setattr(evaluation, "HELD_OUT_STATES", 100)
+    again = held_out_states(small(max_game_frames=2000, seeds=[9], gamma=0.5))
+    np.testing.assert_array_equal(states[:100], again)
 
 
 @pytest.mark.parametrize(("game", "actions"), [("boxing", 18), ("breakout", 4)])
@@ -177,8 +178,7 @@ def test_a_greedy_agent_that_does_nothing_finishes_its_games(small, game, action
 
 def test_random_play_in_breakout_scores_what_others_have_measured(small):
     parameters = small(game="breakout", max_game_frames=108_000, evaluation_epsilon=1.0)
-    player = untrained(parameters, 4)
-    scores = [game.score for game in play(player, parameters, 20, seed=0)]
+    scores = [game.score for game in play(constant(4, 0, 1.0), parameters, 20, seed=0)]
     assert np.mean(scores) == pytest.approx(1.2, abs=0.8)
 
 
@@ -201,7 +201,7 @@ def test_a_condition_that_a_cartridge_does_not_have_is_refused(small):
 
 def test_play_style_counts_every_point_of_a_game_and_how_near_the_boxers_are(small):
     parameters = small(max_game_frames=4000, evaluation_epsilon=1.0)
-    for game in play(untrained(parameters, 18), parameters, 2, seed=0):
+    for game in play(constant(18, 0, 1.0), parameters, 2, seed=0):
         assert game.scored - game.conceded == game.score
         assert min(game.scored, game.conceded) > 0, "the test would not see who scored"
         assert 10 < game.distance < 120

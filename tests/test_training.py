@@ -48,7 +48,7 @@ def episodes_after(trainer, steps):
 def test_the_same_seed_gives_the_same_run_and_another_seed_another(small, agent, game):
     parameters = small(game=game, epsilon_start=0.5)
     first, again, other = (Trainer(parameters, agent, seed) for seed in (1, 1, 2))
-    games = [episodes_after(trainer, 120) for trainer in (first, again, other)]
+    games = [episodes_after(trainer, 75) for trainer in (first, again, other)]
     assert games[0] == games[1] != games[2]
     assert flat(first.get_state()) == flat(again.get_state()) != flat(other.get_state())
     assert first.learner.updates > 20
