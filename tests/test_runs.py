@@ -220,7 +220,9 @@ def test_a_run_of_another_training_version_is_stale(tmp_path, small, monkeypatch
     assert run.state() == "stale"
 
 
-STOPPED = params.Parameters(**{**SMALL, "episodes": 8, "replay_capacity": 100})
+STOPPED = params.Parameters(
+    **{**SMALL, "episodes": 8, "max_game_frames": 120, "replay_capacity": 60}
+)
 
 
 @pytest.fixture(scope="module")
