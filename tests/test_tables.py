@@ -360,3 +360,11 @@ def test_runs_are_read_into_one_table_with_whose_rows_they_are(two):
     assert table.groupby("seed").size().to_dict() == {1: 3000, 2: 7}
     assert set(table.experiment) == {"boxing_final"}
     assert isinstance(tables.of_runs([], tables.EPISODES), pd.DataFrame)
+
+
+def test_a_run_that_just_begins_has_nothing_that_could_be_damaged(small, tmp_path):
+    run = Run(small(), tmp_path)
+    run.folder.mkdir(parents=True)
+    with run.lock():
+        assert run.state() == "running"
+        assert tables.damage(run) == ""

@@ -206,7 +206,7 @@ def of_runs(runs: list[Run], name: str) -> "pd.DataFrame":
 def damage(run: Run) -> str:
     """What keeps a stored run from being read, in one line; nothing if it can be."""
     try:
-        if run.state() != MISSING:
+        if run.state() != MISSING and (run.folder / "status.json").exists():  # or it just begins
             check(run.folder)
             for name in APART:
                 _check_beside(getattr(run, name), name)
