@@ -123,6 +123,13 @@ class Case:
 
 
 FINAL, LATE, EARLY = "boxing_final", "breakout_late", "breakout_early"
+FASTER_IN_EXPERT_MODE = (  # a claim, and the premise of an interpretation
+    of_all("boxing_expert", [gaining(first, first + 30) for first in (1, 2, 3)])
+    | of_all(FINAL, [gaining(first, first + 10) for first in (51, 52, 53)]),
+    tuple({f"boxing_expert/{agent}": gaining(80, 81)} for agent in AGENTS),
+    f"DQN `boxing_expert` 30 `{FINAL}` 10, Double DQN `boxing_expert` 30 `{FINAL}` 10, "
+    f"Dueling Double DQN `boxing_expert` 30 `{FINAL}` 10",
+)
 CASES = {
     "1 human in Boxing": Case(
         "All three agents exceed the human score in Boxing after 1,000 games",
@@ -283,11 +290,7 @@ CASES = {
     "15 faster in expert mode": Case(
         "All agents learn faster in expert mode: in the first 500 games they gain more over their "
         "own first 50",
-        of_all("boxing_expert", [gaining(first, first + 30) for first in (1, 2, 3)])
-        | of_all(FINAL, [gaining(first, first + 10) for first in (51, 52, 53)]),
-        tuple({f"boxing_expert/{agent}": gaining(80, 81)} for agent in AGENTS),
-        f"DQN `boxing_expert` 30 `{FINAL}` 10, Double DQN `boxing_expert` 30 `{FINAL}` 10, "
-        f"Dueling Double DQN `boxing_expert` 30 `{FINAL}` 10",
+        *FASTER_IN_EXPERT_MODE,
     ),
     "16 transfer": Case(
         "Starting from a Breakout agent helps little in Boxing: by less than 5 points, early "
@@ -439,11 +442,7 @@ CASES = {
     ),
     "expert is slower": Case(
         "Expert mode is learned faster because both boxers move more slowly",
-        of_all("boxing_expert", [gaining(first, first + 30) for first in (1, 2, 3)])
-        | of_all(FINAL, [gaining(first, first + 10) for first in (51, 52, 53)]),
-        tuple({f"boxing_expert/{agent}": gaining(80, 81)} for agent in AGENTS),
-        f"DQN `boxing_expert` 30 `{FINAL}` 10, Double DQN `boxing_expert` 30 `{FINAL}` 10, "
-        f"Dueling Double DQN `boxing_expert` 30 `{FINAL}` 10",
+        *FASTER_IN_EXPERT_MODE,
         "interpretations",
     ),
     "goal human in Boxing": Case(
