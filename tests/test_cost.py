@@ -218,10 +218,12 @@ def test_the_speed_on_a_gpu_is_that_of_the_slowest_and_the_fastest_run(folder, s
             "agent": agent,
             "agent_steps": steps,
             "seconds": seconds,
+            "came_home": agent != DOUBLE,
         }
         for batch, agent, steps, seconds in runs
     ).to_csv(folder / "gpu.csv", index=False)
     cost.show_gpu()
-    first, second, _ = shown.texts
+    first, second, after = shown.texts
+    assert "Of 1 the state was lost" in after
     assert numbers(first) == [16, 2, 3, 1000, 1500, 2500, 1, 2]
     assert numbers(second)[:6] == [16, 1, 3, 2000, 2000, 2000]

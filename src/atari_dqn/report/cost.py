@@ -121,7 +121,7 @@ def _gain_of_cores(ours: pd.DataFrame, cores: int) -> str:
 
 
 def show_gpu() -> None:
-    """The speed of runs that began on a GPU."""
+    """The speed of runs that were trained for a while on a GPU."""
     path = project_root() / FOLDER / "gpu.csv"
     if not path.exists():
         return
@@ -136,9 +136,16 @@ def show_gpu() -> None:
             f"{sum(speeds):,.0f}, and stayed for {min(side_by_side.seconds) / 60:.0f} to "
             f"{max(side_by_side.seconds) / 60:.0f} minutes."
         )
+    lost = int((~runs.came_home).sum())
     show_text(
         "From there these runs went on on a processor core each (@tbl-provenance), with the "
         "images of their replay memories played again from the records of their games."
+        + (
+            f" Of {lost} the state was lost on the way: they went on from where they had been "
+            "before."
+            if lost
+            else ""
+        )
     )
 
 
