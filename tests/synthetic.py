@@ -128,14 +128,16 @@ def check(run, score, predicted=1.0, realised=1.0, held_out=1.0):
 
 def style(run, score, greedy=4, **columns):
     """Gives a run the styles of its greedy episodes after every hundred episodes of training; a
-    column is a value per check. An episode lasts two minutes."""
-    count = len(score)
-    columns = {"scored": 30.0, "conceded": 10.0, "punches": 60, "reach": 0.5, **columns}
-    columns = {"distance": 40.0, "score": score, "frames": 7200, "digest": "0"} | columns
-    table = pd.DataFrame({"episode": 100 * np.arange(1, count + 1)} | columns)
+    column is a value per check, and in Breakout 1 where it is not given. An episode lasts two
+    minutes."""
+    count, name = len(score), tables.STYLES[run.params.game]
+    columns = {"score": score, "frames": 7200, "digest": "0", **columns}
+    boxing = {"scored": 30.0, "conceded": 10.0, "punches": 60, "reach": 0.5, "distance": 40.0}
+    columns = {**dict.fromkeys(tables.COLUMNS[name], 1), **boxing, **columns}
+    table = pd.DataFrame(columns | {"episode": 100 * np.arange(1, count + 1)})
     run.styles.parent.mkdir(parents=True, exist_ok=True)
     table = table.loc[table.index.repeat(greedy)].assign(game=np.tile(np.arange(greedy), count))
-    table[[*tables.COLUMNS[tables.STYLES]]].to_csv(run.styles, index=False)
+    table[[*tables.COLUMNS[name]]].to_csv(run.styles, index=False)
 
 
 NUMBER = r"[-−]?\d[\d,]*(?:\.\d+)?"

@@ -268,6 +268,37 @@ def test_the_styles_along_training_have_a_panel_per_measure_and_a_line_per_agent
     assert "#tbl-boxing-final-style .absent" in shown.texts[-1], "three checks are too few"
 
 
+def test_balls_of_breakout_are_told_by_their_speed_and_by_where_they_are_lost(tmp_path, shown):
+    run = store(tmp_path, "breakout_late", DQN, np.zeros(300))
+    speeds = ("slow", "medium", "fast")
+    counts = {f"returned_{speed}": 9 - 3 * index for index, speed in enumerate(speeds)}  # 9, 6, 3
+    counts |= {"lost_slow": 1, "lost_medium": [2, 2, 0], "lost_fast": [1, 9, 1]}
+    counts |= {"lost_left": [1, 0, 3], "lost_middle": [2, 4, 1], "lost_right": [1, 0, 0]}
+    style(run, np.zeros(3), **counts, tunnel=[0, 1, 1], above=[0.0, 12.0, 30.0])
+    results.show_learning_style(study(tmp_path)["breakout_late"])
+    panels = shown.figures["fig-breakout-late-style"].axes
+    expected = {
+        "slow balls": [90, 90, 90],
+        "faster balls": [75, 75, 100],
+        "fastest balls": [75, 25, 75],
+        "at the sides": [50, 0, 75],
+        "tunnel": [0, 100, 100],
+        "above the wall": [0, 12, 30],
+    }
+    for axes, (words, values) in zip(panels, expected.items(), strict=True):
+        assert words in axes.get_title(loc="left")
+        assert axes.get_lines()[0].get_xydata().T.tolist() == [[100, 200, 300], values]
+    assert "Breakout" in shown.captions["fig-breakout-late-style"]
+
+
+def test_a_game_without_a_ball_of_some_speed_says_nothing_of_it(tmp_path):
+    run = store(tmp_path, "breakout_late", DQN, np.zeros(200))
+    style(run, np.zeros(2), returned_fast=0, lost_fast=[0, 2], greedy=1)
+    styles = study(tmp_path)["breakout_late"].styles
+    assert styles.fast.isna().tolist() == [True, False]
+    assert styles.fast[1] == 0
+
+
 def test_a_change_of_style_is_told_with_the_games_after_which_half_of_it_is_done(tmp_path, shown):
     run = store(tmp_path, "boxing_final", DQN, np.zeros(2000))
     rise = np.repeat([1.0, 2.0], [8, 12]) + np.tile([-0.05, 0.05, 0, -0.05, 0.05], 4)

@@ -9,9 +9,9 @@ from ale_py import ALEInterface, roms
 from synthetic import settings
 
 from atari_dqn import params
-from atari_dqn.envs import EpisodeRecord
+from atari_dqn.envs import EpisodeRecord, make_env
 from atari_dqn.report import ram
-from atari_dqn.runs import records, styles
+from atari_dqn.runs import records, styles, tables
 from atari_dqn.runs.run import Run
 
 STEPS = 120  # of a recorded episode, agent steps of four frames
@@ -108,7 +108,7 @@ def test_what_is_measured_is_not_played_again_and_another_record_is(run, monkeyp
 
 
 def test_an_interruption_keeps_what_has_been_measured(run, monkeypatch):
-    played, measured = [], styles._style
+    played, measured = [], styles.MEASURED["boxing"]
 
     def interrupted(*given):
         if played:
@@ -116,14 +116,63 @@ def test_an_interruption_keeps_what_has_been_measured(run, monkeypatch):
         played.append(given)
         return measured(*given)
 
-    monkeypatch.setattr(styles, "_style", interrupted)
+    monkeypatch.setitem(styles.MEASURED, "boxing", interrupted)
     with pytest.raises(KeyboardInterrupt):
         styles.measure(run)
     assert len(pd.read_csv(run.styles)) == 1
-    monkeypatch.setattr(styles, "_style", lambda *given: played.append(given) or measured(*given))
+    again = lambda *given: played.append(given) or measured(*given)  # noqa: E731
+    monkeypatch.setitem(styles.MEASURED, "boxing", again)
     styles.measure(run)
     assert [game for _, _, game, *_ in played] == [0, 1], "each is played once"
     assert len(pd.read_csv(run.styles)) == 2
+
+
+def follow(game):
+    """Plays Breakout to its end, the paddle always on its way to where the ball is. Returns the
+    pictures before the first step and after each."""
+    pictures, over = [game.render()], False
+    while not over:
+        ball, paddle = (int(game.ram()[cell]) for cell in (99, 72))
+        aim = ball - 8
+        action = 0 if abs(aim - paddle) < 4 else 2 if aim > paddle else 3
+        over = game.step(action)[2]
+        pictures.append(game.render())
+    return pictures
+
+
+def ball_heights(pictures):
+    """Where the ball is below the wall, in pixels from the top, from pictures; nan elsewhere."""
+    heights = []
+    for picture in pictures:
+        red = (picture[94:189, 8:152] == (200, 72, 72)).all(axis=2).any(axis=1)
+        heights.append(94 + np.flatnonzero(red).mean() if red.any() else np.nan)
+    return np.array(heights)
+
+
+def test_balls_of_breakout_are_counted_as_the_picture_shows_them(small, tmp_path):
+    parameters = params.pick(small(game="breakout", max_game_frames=12_000), "double_dqn", 1)
+    game = make_env(parameters)
+    game.reset(seed=0)
+    heights = ball_heights(follow(game))
+    run = Run(parameters, tmp_path)
+    run.folder.mkdir(parents=True)
+    heading = {"kind": "values", "episode": 100, "game": 0}
+    (run.folder / records.FILE).write_bytes(records.encode([(heading, game.played())]))
+    styles.measure(run)
+    row = pd.read_csv(run.styles).iloc[0]
+    down, moving = np.diff(heights), np.flatnonzero(np.abs(np.diff(heights)) > 0)
+    # low in the picture, a ball that came down goes up: steps before and after its return
+    turns = [(a, b) for a, b in pairwise(moving) if down[a] > 0 > down[b] and heights[b] > 160]
+    speeds = [np.nanmedian(down[before - 4 : before]) / 4 for before, _ in turns]
+    speeds = np.digitize(speeds, [1.75, 2.5]).tolist()  # pixels per frame
+    returned = [row[f"returned_{speed}"] for speed in tables.SPEEDS]
+    assert returned == [speeds.count(0), speeds.count(1), speeds.count(2)]
+    assert min(returned) > 2
+    lost = [row[f"lost_{speed}"] for speed in tables.SPEEDS]
+    assert sum(lost) == row.lost_left + row.lost_middle + row.lost_right == 5
+    assert lost.count(0) < 2
+    assert row.score == game.score
+    assert (row.tunnel, row.above) == (0, 0)
 
 
 def test_no_punch_that_was_measured_lands_from_beyond_reach():

@@ -20,7 +20,7 @@ from atari_dqn.runs import evaluations, plan, recorder, tables
 from atari_dqn.runs.files import RunError
 from atari_dqn.runs.robustness import Trial
 from atari_dqn.runs.run import Run
-from atari_dqn.runs.styles import Style
+from atari_dqn.runs.styles import Boxing, Breakout
 
 ROOT = Path(__file__).parents[1]
 SHORT = {"VALUES_PERIOD": 2, "VALUE_GAMES": 1, "HELD_OUT_STATES": 8}  # of the check of values
@@ -206,7 +206,8 @@ def test_the_columns_are_those_that_are_written():
     written = {
         **recorder.LOGS,
         tables.EVALUATIONS: [*evaluation.PLAYED_COLUMNS, "trained_games"],
-        tables.STYLES: [field.name for field in fields(Style)],
+        tables.STYLES["boxing"]: [field.name for field in fields(Boxing)],
+        tables.STYLES["breakout"]: [field.name for field in fields(Breakout)],
         tables.ROBUSTNESS: [field.name for field in fields(Trial)],
     }
     assert {name: list(columns) for name, columns in tables.COLUMNS.items()} == written

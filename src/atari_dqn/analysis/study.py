@@ -184,26 +184,43 @@ class Section:
 
     @cached_property
     def styles(self) -> pd.DataFrame:
-        """How the agents box in the checks of greedy play along their training, a row per greedy
-        episode: `runs.styles.Style`, agent, seed, what it counts per minute, and per punch."""
-        table = self._beside(tables.STYLES)
+        """How the agents play in the checks of greedy play along their training, a row per greedy
+        episode: what `runs.styles` finds, agent, seed, and what follows: in Boxing what it counts
+        per minute and per punch, and percent of the time within reach; in Breakout the percent of
+        the balls of each speed that were returned, of the lost ones that were lost at the sides,
+        and 100 for a game with a tunnel."""
+        if self.params.game not in tables.STYLES:
+            return pd.DataFrame()
+        table = self._beside("styles", tables.STYLES[self.params.game])
         if table.empty:
             return table
-        minutes = table.frames / FRAMES_PER_MINUTE
-        counted = ("scored", "conceded", "punches")
-        rates = {f"{name}_per_minute": table[name] / minutes for name in counted}
-        thrown = table.punches.where(table.punches > 0)  # nan for an episode without any
-        return table.assign(**rates, points_per_punch=table.scored / thrown)
+        if self.params.game == "boxing":
+            minutes = table.frames / FRAMES_PER_MINUTE
+            counted = ("scored", "conceded", "punches")
+            rates = {f"{name}_per_minute": table[name] / minutes for name in counted}
+            punches = _some(table.punches)
+            per_punch = table.scored / punches
+            return table.assign(**rates, points_per_punch=per_punch, within_reach=100 * table.reach)
+        returned = {}
+        for speed in tables.SPEEDS:
+            caught, lost = table[f"returned_{speed}"], table[f"lost_{speed}"]
+            returned[speed] = 100 * caught / _some(caught + lost)
+        sides = table.lost_left + table.lost_right
+        return table.assign(
+            **returned,
+            sides=100 * sides / _some(sides + table.lost_middle),
+            tunnels=100 * table.tunnel,
+        )
 
     @cached_property
     def robustness(self) -> pd.DataFrame:
         """A row per game of finished agents under conditions that they have never met:
         `runs.robustness.Trial`, agent, seed."""
-        return self._beside(tables.ROBUSTNESS)
+        return self._beside("robustness", tables.ROBUSTNESS)
 
-    def _beside(self, name: str) -> pd.DataFrame:
-        """One table of what stands in the runs' files beside their folders."""
-        files = [(run, getattr(run, name)) for run in self.usable]
+    def _beside(self, kind: str, name: str) -> pd.DataFrame:
+        """One table of what stands in the runs' files of a kind beside their folders."""
+        files = [(run, getattr(run, kind)) for run in self.usable]
         found = [
             tables.read_file(path, name).assign(agent=run.agent, seed=run.seed)
             for run, path in files
@@ -394,6 +411,11 @@ def run_table(runs: list[Run]) -> pd.DataFrame:
         )
     columns = ["experiment", "agent", "seed", "state", "games", "agent steps", "hours", "resumes"]
     return pd.DataFrame(rows, columns=[*columns, "trained on", "commits", "hash"])
+
+
+def _some(counts: pd.Series) -> pd.Series:
+    """Counts to divide by: nan for none."""
+    return counts.where(counts > 0)
 
 
 def _short(commit: str) -> str:

@@ -467,19 +467,29 @@ def _ending(games: pd.DataFrame, full: int) -> pd.Series:
     )
 
 
-STYLE_MEASURES = {
-    "distance": "distance of the boxers (pixels)",
-    "reach": "time within reach (%)",
-    "punches_per_minute": "punches thrown per minute",
-    "points_per_punch": "points scored per punch",
-    "scored_per_minute": "points scored per minute",
-    "conceded_per_minute": "points conceded per minute",
+STYLE_MEASURES = {  # of `Section.styles`, by game
+    "boxing": {
+        "distance": "distance of the boxers (pixels)",
+        "within_reach": "time within reach (%)",
+        "punches_per_minute": "punches thrown per minute",
+        "points_per_punch": "points scored per punch",
+        "scored_per_minute": "points scored per minute",
+        "conceded_per_minute": "points conceded per minute",
+    },
+    "breakout": {
+        "slow": "slow balls returned (%)",
+        "medium": "faster balls returned (%)",
+        "fast": "fastest balls returned (%)",
+        "sides": "lost at the sides (% of the balls lost)",
+        "tunnels": "games with a tunnel (%)",
+        "above": "points scored above the wall, per game",
+    },
 }
 CHECKS = 5  # of greedy play, at either end of training, that are compared
 
 
 def style_changes(section: Section) -> pd.DataFrame:
-    """What changes in how agents box, from their first checks of greedy play to their last:
+    """What changes in how agents play, from their first checks of greedy play to their last:
     columns agent, seed, measure (of `Section.styles`), first, last, the 95% interval of the change
     (low, high; Welch's, over checks) and half_way: the training episodes after which the measure,
     smoothed over as many checks, has gone half of its way; none where the interval holds zero."""
@@ -487,11 +497,11 @@ def style_changes(section: Section) -> pd.DataFrame:
     if section.styles.empty:
         return pd.DataFrame(rows)
     for (agent, seed), own in section.styles.groupby(["agent", "seed"], sort=False):
-        percent = own.assign(reach=100 * own.reach)
-        checks = percent.groupby("episode")[list(STYLE_MEASURES)].mean()
+        measures = STYLE_MEASURES[section.params.game]
+        checks = own.groupby("episode")[list(measures)].mean()
         if len(checks) < 2 * CHECKS:
             continue
-        for measure in STYLE_MEASURES:
+        for measure in measures:
             series = checks[measure]
             first, last = series.iloc[:CHECKS], series.iloc[-CHECKS:]
             low, high = welch_interval(last.to_numpy(), first.to_numpy())

@@ -100,12 +100,7 @@ def _measure(profile: str, folder: Path) -> None:
     compared, tried = (
         plan.planned(profile, list(kind.EXPERIMENTS), folder)[0] for kind in (styles, robustness)
     )
-    wanted = [
-        (styles.measure, run)
-        for run in compared
-        if (run.agent == styles.AGENT or run.params.experiment == styles.FINAL)
-        and (run.folder / records.FILE).exists()
-    ]
+    wanted = [(styles.measure, run) for run in compared if (run.folder / records.FILE).exists()]
     wanted += [(robustness.measure, run) for run in tried]
     for measure, run in wanted:
         if tables.damage(run):

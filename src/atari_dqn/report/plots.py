@@ -26,7 +26,6 @@ from scipy import stats
 from atari_dqn import params
 from atari_dqn.analysis.statistics import by_cluster, interval, trailing_mean
 from atari_dqn.analysis.study import spelled
-from atari_dqn.analysis.summaries import STYLE_MEASURES
 from atari_dqn.envs import SIZE, AtariEnv
 from atari_dqn.games import GAMES, GameFacts
 from atari_dqn.report.interactive import BESIDE, named
@@ -377,14 +376,14 @@ def value_errors(values: pd.DataFrame) -> Figure:
     return figure
 
 
-def styles_along(styles: pd.DataFrame) -> Figure:
-    """How agents box against training episodes, a panel per measure: `Section.styles`."""
+def styles_along(styles: pd.DataFrame, measures: dict[str, str]) -> Figure:
+    """How agents play against training episodes, a panel for each of six measures, by their columns
+    in `Section.styles`."""
     styles = drawable(styles)
     figure, panels = plt.subplots(3, 2, sharex=True, figsize=(WIDTH, 6.4))
-    percent = styles.assign(reach=100 * styles.reach)
-    for axes, (column, title) in zip(panels.flat, STYLE_MEASURES.items(), strict=True):
+    for axes, (column, title) in zip(panels.flat, measures.items(), strict=True):
         for agent in agents_of(styles):
-            own = percent[percent.agent == agent].groupby("episode")[column].mean()
+            own = styles[styles.agent == agent].groupby("episode")[column].mean()
             name, (colour, line) = params.title(agent), STYLES[agent]
             (drawn,) = axes.plot(own.index, own, color=colour, ls=line, lw=1.6)
             named(drawn, name, value=name)

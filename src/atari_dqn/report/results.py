@@ -391,19 +391,19 @@ def show_variations(section: Section, reference: Section, agent: str) -> None:
 
 
 def show_learning_style(section: Section) -> None:
-    """How the agents box along their training."""
+    """How the agents play along their training, as the console's memory tells."""
     label, table = f"fig-{section.slug}-style", f"tbl-{section.slug}-style"
+    measures = summaries.STYLE_MEASURES[section.params.game]
     if plots.drawable(section.styles).empty:
         show_placeholders(label, table)
         return
     show_figure(
-        plots.styles_along(section.styles),
+        plots.styles_along(section.styles, measures),
         label=label,
-        caption=f"How the agents box along their training, in the {VALUE_GAMES} greedy games after "
-        f"every {VALUES_PERIOD} training games: means, of what the console's memory says.",
-        alt="Six panels against training games: distance of the boxers, share of the time within "
-        "reach, punches thrown per minute, points per punch, and points scored and conceded per "
-        "minute; a line per agent.",
+        caption=f"{section.title}: how the agents play along their training, in the {VALUE_GAMES} "
+        f"greedy games after every {VALUES_PERIOD} training games: means, of what the console's "
+        "memory says.",
+        alt=f"Six panels against training games: {'; '.join(measures.values())}. A line per agent.",
         data=f"results/styles/{section.params.experiment}/",
     )
     changes = summaries.style_changes(section)
@@ -413,7 +413,7 @@ def show_learning_style(section: Section) -> None:
     rows = {
         "agent": changes.agent.map(params.title),
         "seed": changes.seed,
-        "measure": changes.measure.map(summaries.STYLE_MEASURES),
+        "measure": changes.measure.map(measures),
         "first": changes["first"],
         "last": changes["last"],
         "change (95%)": [f"{row.low:+.1f} to {row.high:+.1f}" for row in changes.itertuples()],
@@ -426,10 +426,10 @@ def show_learning_style(section: Section) -> None:
     show_table(
         shown.drop(columns="seed") if len(section.params.seeds) == 1 else shown,
         label=table,
-        caption=f"What changes in how the agents box: means of the first and of the last "
-        f"{summaries.CHECKS} checks of greedy play, and after how many training games a measure "
-        "has gone half of the way between them. Intervals are over checks of one run (Welch's t), "
-        "not over seeds.",
+        caption=f"{section.title}: what changes in how the agents play: means of the first and of "
+        f"the last {summaries.CHECKS} checks of greedy play, and after how many training games "
+        "a measure has gone half of the way between them. Intervals are over checks of one run "
+        "(Welch's t), not over seeds.",
         decimals=1,
     )
 

@@ -1,7 +1,12 @@
-"""How an agent boxes along its training: the greedy episodes of its checks, played again from their
-records."""
+"""How an agent plays along its training: the greedy episodes of its checks, played again from their
+records, and what the console's memory says in every step.
 
-from dataclasses import astuple, dataclass, fields
+Cells as Anand et al. (2019, AtariARI) annotate them, but for the arms' and the ball's speed, which
+are measured (tests/test_ram.py, tests/test_styles.py).
+"""
+
+from dataclasses import astuple, dataclass
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -14,27 +19,37 @@ from atari_dqn.runs import records, tables
 from atari_dqn.runs.files import write_atomically
 from atari_dqn.runs.run import Run
 
-# The experiments whose styles are compared, and the agent that all of them train; of the final one
-# every agent's style is measured
-EXPERIMENTS = ("boxing_low_gamma", "boxing_final", "boxing_high_gamma")
-AGENT = "dueling_double_dqn"
-FINAL = "boxing_final"
+EXPERIMENTS = ("boxing_low_gamma", "boxing_final", "boxing_high_gamma", "breakout_late")
+AGENT = "dueling_double_dqn"  # that is trained with every discount
+
 ARMS = (55, 57)  # memory cells: how far each of the agent's arms is out, 0 to 72
 OUT = 24  # from where on a punch is counted: an arm is farther out for longer than a step lasts
 STRUCK = 41  # what both arms are set to by a blow that the agent takes
 REACH = 30  # pixels to the side, and up or down, beyond which no punch lands (results/benchmarks/
 # punches.csv)
 
+BALL, PADDLE = (99, 101), 72  # memory cells: x and y of the ball, x of the paddle, in pixels
+SPEED = 103  # memory cell: whole pixels per frame that the ball goes down, as a signed byte
+COURT = (55, 211)  # the ball's x at the left wall and at the right
+WALL = 50  # the ball's y below which it is above all bricks
+LOW = 150  # the ball's y beyond which nothing but the paddle returns it
+
 
 @dataclass(frozen=True)
 class Style:
-    """One greedy episode, a row of a run's file of styles."""
+    """One greedy episode, a row of a run's file of styles: what it holds in every game."""
 
     episode: int  # training episodes finished before it
     game: int  # its number among the greedy episodes
     digest: str  # of its record: whether it is the same episode still
     frames: int  # emulator frames
     score: float  # points
+
+
+@dataclass(frozen=True)
+class Boxing(Style):
+    """And in Boxing."""
+
     scored: float  # points of the agent alone
     conceded: float  # points of its rival
     punches: int  # that the agent threw, landed or not
@@ -42,10 +57,28 @@ class Style:
     distance: float  # pixels between the boxers, mean over the steps
 
 
+@dataclass(frozen=True)
+class Breakout(Style):
+    """And in Breakout."""
+
+    returned_slow: int  # balls that the paddle returned, of 1 or 1.5 pixels per frame up or down,
+    returned_medium: int  # of 2,
+    returned_fast: int  # and of 3 or more
+    lost_slow: int  # balls that it missed, likewise
+    lost_medium: int
+    lost_fast: int
+    lost_left: int  # the same balls, by the third of the court in which they were lost
+    lost_middle: int
+    lost_right: int
+    tunnel: int  # 1 if a ball came above the wall, else 0
+    above: float  # points scored in steps with the ball above the wall
+
+
 def measure(run: Run) -> None:
     """Brings a run's file of styles up to date with its records; what is in it is not played
     again. Raises RecordError if the records cannot be read, RunError if the file is damaged."""
-    stored = tables.read_file(run.styles, tables.STYLES)
+    name, style_of = tables.STYLES[run.params.game], MEASURED[run.params.game]
+    stored = tables.read_file(run.styles, name)
     known = {(row.episode, row.game, row.digest): row for row in stored.itertuples(index=False)}
     greedy = [
         (heading, record)
@@ -56,16 +89,16 @@ def measure(run: Run) -> None:
     try:
         for heading, record in tqdm(greedy, desc=f"styles of {run.name}", mininterval=2):
             key = (heading["episode"], heading["game"], records.digest(record))
-            rows.append(known.get(key) or astuple(_style(run.params, *key, record)))
+            rows.append(known.get(key) or astuple(style_of(run.params, *key, record)))
     finally:  # an interruption costs no more than the episode that was being played
-        table = pd.DataFrame(rows, columns=[field.name for field in fields(Style)])
+        table = pd.DataFrame(rows, columns=[*tables.COLUMNS[name]])
         run.styles.parent.mkdir(parents=True, exist_ok=True)
         write_atomically(run.styles, table.to_csv(index=False).encode())
 
 
-def _style(
+def _boxing(
     params: Parameters, episode: int, game: int, digest: str, record: EpisodeRecord
-) -> Style:
+) -> Boxing:
     boxers = np.array(GAMES[params.game].boxers)
     punches, extended, reached, distances = 0, np.zeros(2, bool), [], []
     for env in records.replay(params, record):
@@ -79,7 +112,7 @@ def _style(
             reached.append(bool((gaps <= REACH).all()))
             distances.append(env.distance())
     scored, conceded = env.points()
-    return Style(
+    return Boxing(
         episode,
         game,
         digest,
@@ -91,3 +124,33 @@ def _style(
         float(np.mean(reached)),
         float(np.mean(distances)),
     )
+
+
+def _breakout(
+    params: Parameters, episode: int, game: int, digest: str, record: EpisodeRecord
+) -> Breakout:
+    memories, scores, lives = [], [], []
+    for env in records.replay(params, record):
+        memories.append(env.ram())
+        scores.append(env.score)
+        lives.append(env.lives)
+    memory = np.array(memories)  # [moments, cells]
+    x, y = memory[:, BALL[0]].astype(int), memory[:, BALL[1]]
+    down = memory[:, SPEED].view(np.int8)
+    returned = (down[:-1] > 0) & (down[1:] < 0) & (y[1:] > LOW)  # in the step after each moment
+    lost = np.diff(lives) < 0
+    thirds = (x[:-1][lost] - COURT[0]) * 3 // (COURT[1] - COURT[0] + 1)
+    above = (y > 0) & (y < WALL)  # y is 0 while no ball is in play
+    points = np.diff(scores)[above[:-1] | above[1:]].sum()
+    balls: dict[str, Any] = {}
+    for happened, which in (("returned", returned), ("lost", lost)):
+        for speed, name in enumerate(tables.SPEEDS, 1):  # whole pixels per frame
+            balls[f"{happened}_{name}"] = int((down[:-1][which] == speed).sum())
+    for third, name in enumerate(tables.THIRDS):
+        balls[f"lost_{name}"] = int((thirds == third).sum())
+    tunnel = int(above.any())
+    heading = Style(episode, game, digest, env.frames, env.score)
+    return Breakout(**vars(heading), tunnel=tunnel, above=float(points), **balls)
+
+
+MEASURED = {"boxing": _boxing, "breakout": _breakout}  # by game

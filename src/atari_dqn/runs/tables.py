@@ -23,7 +23,10 @@ if TYPE_CHECKING:  # it takes half a second to import
     import pandas as pd
 
 EPISODES, TIMING, VALUES = "episodes.csv", "timing.csv", "values.csv"
-EVALUATIONS, STYLES, ROBUSTNESS = "evaluations.csv", "styles", "robustness"
+EVALUATIONS, ROBUSTNESS = "evaluations.csv", "robustness"
+STYLES = {"boxing": "styles of Boxing", "breakout": "styles of Breakout"}  # by game
+SPEEDS = ("slow", "medium", "fast")  # of Breakout's ball
+THIRDS = ("left", "middle", "right")  # of its court
 GROWING = (EPISODES, TIMING, VALUES)  # line by line, while a run trains; the others are replaced
 
 # The kinds of fields; more digits than these are damage, and no number here is infinite
@@ -41,6 +44,7 @@ SAID = {
     DIGEST: "a hexadecimal number",
     CONDITION: "sequence or mirrored",
 }
+STYLE = {"episode": WHOLE, "game": WHOLE, "digest": DIGEST, "frames": WHOLE, "score": NUMBER}
 COLUMNS: dict[str, dict[str, str]] = {
     EPISODES: {
         "episode": WHOLE,
@@ -73,17 +77,21 @@ COLUMNS: dict[str, dict[str, str]] = {
         "distance": OR_NAN,
         "trained_games": WHOLE,
     },
-    STYLES: {
-        "episode": WHOLE,
-        "game": WHOLE,
-        "digest": DIGEST,
-        "frames": WHOLE,
-        "score": NUMBER,
+    STYLES["boxing"]: {
+        **STYLE,
         "scored": NUMBER,
         "conceded": NUMBER,
         "punches": WHOLE,
         "reach": NUMBER,
         "distance": NUMBER,
+    },
+    STYLES["breakout"]: {
+        **STYLE,
+        **{f"returned_{speed}": WHOLE for speed in SPEEDS},
+        **{f"lost_{speed}": WHOLE for speed in SPEEDS},
+        **{f"lost_{third}": WHOLE for third in THIRDS},
+        "tunnel": WHOLE,
+        "above": NUMBER,
     },
     ROBUSTNESS: {
         "condition": CONDITION,
@@ -97,7 +105,7 @@ LINES = {name: re.compile(",".join(columns.values())) for name, columns in COLUM
 # What evaluations are sorted by; under the same settings the games are 0, 1, 2, ...
 SETTINGS = ("trained_games", "difficulty", "sticky_actions", "epsilon", "seed")
 # What tells apart the rows of the tables that are in no particular order
-APART = {STYLES: ("episode", "game"), ROBUSTNESS: ("condition", "game")}
+APART = {**dict.fromkeys(STYLES.values(), ("episode", "game")), ROBUSTNESS: ("condition", "game")}
 
 
 # ---- One table ----------------------------------------------------------------------------------
@@ -208,8 +216,9 @@ def damage(run: Run) -> str:
     try:
         if run.state() != MISSING and (run.folder / "status.json").exists():  # or it just begins
             check(run.folder)
-            for name in APART:
-                _check_beside(getattr(run, name), name)
+            _check_beside(run.robustness, ROBUSTNESS)
+            if run.params.game in STYLES:
+                _check_beside(run.styles, STYLES[run.params.game])
     except (RunError, ParameterError) as error:
         return str(error)
     except OSError as error:
