@@ -369,3 +369,13 @@ def test_a_run_that_just_begins_has_nothing_that_could_be_damaged(small, tmp_pat
     with run.lock():
         assert run.state() == "running"
         assert tables.damage(run) == ""
+
+
+@pytest.mark.parametrize("name", ["model.safetensors", "games.jsonl.zst"])
+@pytest.mark.parametrize("place", [0.3, 0.9])
+def test_a_run_with_a_flipped_bit_in_a_binary_file_is_damaged(run, name, place):
+    path = run.folder / name
+    data = bytearray(path.read_bytes())
+    data[int(place * len(data))] ^= 4
+    path.write_bytes(data)
+    assert tables.damage(run).startswith(f"{path} is damaged: ")

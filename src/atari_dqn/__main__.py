@@ -289,7 +289,7 @@ def verify(
     results: Results = None,
     profile: Profile = "full",
 ) -> None:
-    """Play games of runs again and compare them with their tables, a line a run.
+    """Play games of runs again and compare them with their tables, a line per run.
 
     Exits with 1 if one is damaged or differs from its records, else with 2 if a file of parameters
     cannot be read; the others are compared all the same.

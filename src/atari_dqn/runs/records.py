@@ -22,17 +22,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import zstandard
 
 from atari_dqn.envs import AtariEnv, EpisodeRecord, make_env
 from atari_dqn.params import Parameters
+from atari_dqn.runs import frames
 from atari_dqn.runs.files import RunError
 
-FILE = "games.jsonl.zst"
+FILE = frames.FILE
 TRAINING, VALUES, EVALUATION = "training", "values", "evaluation"
-LEVEL = 19  # of compression: a millisecond a game
 FRAME = 100  # games, once a run is complete
-CHUNK = 4096  # bytes read at once
 
 
 Heading = dict[str, Any]  # kind, episode, ...: what tells a game from all others of its run
@@ -45,8 +43,7 @@ class RecordError(RunError):
 
 def encode(games: list[Game]) -> bytes:
     """Games as they stand in the file, in one frame."""
-    compressor = zstandard.ZstdCompressor(level=LEVEL, write_checksum=True)
-    return compressor.compress(b"".join(_line(*game) for game in games))
+    return frames.encode(b"".join(_line(*game) for game in games))
 
 
 def _line(heading: Heading, record: EpisodeRecord) -> bytes:
@@ -91,7 +88,7 @@ def read(data: bytes, source: Path) -> Iterator[Game]:
     """
     games = 0
     try:
-        for frame in _frames(data):
+        for frame in frames.decode(data):
             for line in frame.splitlines():
                 heading = json.loads(line)
                 record = _game_record(heading)
@@ -101,24 +98,8 @@ def read(data: bytes, source: Path) -> Iterator[Game]:
                     raise ValueError(f"no kind of game has the keys {', '.join(heading)}")
                 yield heading, record
                 games += 1
-    except (zstandard.ZstdError, ValueError, KeyError, TypeError, AttributeError) as error:
+    except (frames.ZstdError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise RecordError(f"{source} is damaged after {games} games: {error}") from None
-
-
-def _frames(data: bytes) -> Iterator[bytes]:
-    """What each zstandard frame holds. Raises ZstdError if one is damaged, ValueError if the last
-    one is not whole."""
-    frame, content, whole = zstandard.ZstdDecompressor().decompressobj(), b"", True
-    for start in range(0, len(data), CHUNK):
-        rest = data[start : start + CHUNK]
-        while rest:
-            content += frame.decompress(rest)
-            whole, rest = frame.eof, frame.unused_data
-            if whole:
-                yield content
-                frame, content = zstandard.ZstdDecompressor().decompressobj(), b""
-    if not whole:
-        raise ValueError("the last game is cut short")
 
 
 def with_evaluations(games: list[Game], new: list[Game]) -> bytes:

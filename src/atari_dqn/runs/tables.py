@@ -10,12 +10,14 @@ half a line, which is left out.
 import io
 import re
 import time
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from atari_dqn import params
 from atari_dqn.params import ParameterError, shown
+from atari_dqn.runs import frames, weights
 from atari_dqn.runs.files import RunError
 from atari_dqn.runs.run import COMPLETE, MISSING, Run, stored_json
 
@@ -216,6 +218,9 @@ def damage(run: Run) -> str:
     try:
         if run.state() != MISSING and (run.folder / "status.json").exists():  # or it just begins
             check(run.folder)
+            frames.check(run.folder, torn=not _complete(run.folder))
+            for path in weights.files(run.folder):
+                _check_weights(path, path.stat().st_mtime_ns)
             _check_beside(run.robustness, ROBUSTNESS)
             if run.params.game in STYLES:
                 _check_beside(run.styles, STYLES[run.params.game])
@@ -224,6 +229,11 @@ def damage(run: Run) -> str:
     except OSError as error:
         return f"{error.filename}: {error.strerror}"
     return ""
+
+
+@cache
+def _check_weights(path: Path, changed: int) -> None:
+    weights.read(path)
 
 
 def _check_beside(path: Path, name: str) -> None:
