@@ -319,6 +319,16 @@ def test_a_change_of_style_is_told_with_the_games_after_which_half_of_it_is_done
     assert low < 0 < high
 
 
+def test_what_there_was_nothing_of_at_first_has_no_change(tmp_path, shown):
+    run = store(tmp_path, "breakout_late", DQN, np.zeros(2000))
+    fast = np.repeat([0, 5], 10)
+    style(run, np.zeros(20), returned_fast=fast, lost_fast=fast, tunnel=np.repeat([0, 1], 10))
+    results.show_learning_style(study(tmp_path)["breakout_late"])
+    rows = {row["measure"]: list(row.values()) for row in shown.tables["tbl-breakout-late-style"]}
+    assert rows["fastest balls returned (%)"][2:] == ["–", "50.0", "–", "–"]
+    assert rows["games with a tunnel (%)"][2:4] == ["0.0", "100.0"]
+
+
 def test_an_empty_place_gives_a_reason_where_no_badge_does(tmp_path, shown):
     store(tmp_path, "boxing_final", DQN, np.zeros(3000))
     stored = study(tmp_path)

@@ -492,7 +492,8 @@ def style_changes(section: Section) -> pd.DataFrame:
     """What changes in how agents play, from their first checks of greedy play to their last:
     columns agent, seed, measure (of `Section.styles`), first, last, the 95% interval of the change
     (low, high; Welch's, over checks) and half_way: the training episodes after which the measure,
-    smoothed over as many checks, has gone half of its way; none where the interval holds zero."""
+    smoothed over as many checks, has gone half of its way; none where the interval holds zero, or
+    where there is none."""
     rows: list[dict[str, object]] = []
     if section.styles.empty:
         return pd.DataFrame(rows)
@@ -504,10 +505,13 @@ def style_changes(section: Section) -> pd.DataFrame:
         for measure in measures:
             series = checks[measure]
             first, last = series.iloc[:CHECKS], series.iloc[-CHECKS:]
-            low, high = welch_interval(last.to_numpy(), first.to_numpy())
+            low, high = np.nan, np.nan  # nothing to compare, such as fast balls at the beginning
+            if min(first.count(), last.count()) > 1:
+                low, high = welch_interval(last.dropna().to_numpy(), first.dropna().to_numpy())
+            clear = low > 0 or high < 0
             way = (series.rolling(CHECKS, center=True).mean() - first.mean()) / (
                 last.mean() - first.mean() or np.nan
-            )
+            ) >= 0.5
             rows.append(
                 {
                     "agent": agent,
@@ -517,7 +521,7 @@ def style_changes(section: Section) -> pd.DataFrame:
                     "last": last.mean(),
                     "low": low,
                     "high": high,
-                    "half_way": None if low <= 0 <= high else int((way >= 0.5).idxmax()),
+                    "half_way": int(way.idxmax()) if clear and way.any() else None,
                 }
             )
     return pd.DataFrame(rows)

@@ -416,11 +416,11 @@ def show_learning_style(section: Section) -> None:
         "measure": changes.measure.map(measures),
         "first": changes["first"],
         "last": changes["last"],
-        "change (95%)": [f"{row.low:+.1f} to {row.high:+.1f}" for row in changes.itertuples()],
-        "half-way after": [
-            "no clear change" if pd.isna(games) else f"{games:,.0f} games"
-            for games in changes.half_way
+        "change (95%)": [
+            "–" if np.isnan(row.low) else f"{row.low:+.1f} to {row.high:+.1f}"
+            for row in changes.itertuples()
         ],
+        "half-way after": [_half_way(row) for row in changes.itertuples()],
     }
     shown = pd.DataFrame(rows)
     show_table(
@@ -432,6 +432,12 @@ def show_learning_style(section: Section) -> None:
         "(Welch's t), not over seeds.",
         decimals=1,
     )
+
+
+def _half_way(change: Any) -> str:
+    if np.isnan(change.low):
+        return "–"
+    return "no clear change" if pd.isna(change.half_way) else f"{change.half_way:,.0f} games"
 
 
 BLINDLY = "the best game's moves, blindly"

@@ -10,7 +10,7 @@ half a line, which is left out.
 import io
 import re
 import time
-from functools import cache
+from functools import cache, lru_cache
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -128,6 +128,14 @@ def read_file(path: Path, name: str, torn: bool = False) -> "pd.DataFrame":
 
     if not path.exists():
         return pd.DataFrame()
+    at = path.stat()
+    return _read_file(path, name, torn, (at.st_ino, at.st_mtime_ns, at.st_size)).copy()
+
+
+@lru_cache(maxsize=256)  # since a table is read to be checked, and again to be used
+def _read_file(path: Path, name: str, torn: bool, version: tuple[int, ...]) -> "pd.DataFrame":
+    import pandas as pd
+
     *lines, rest = path.read_bytes().decode("utf-8", "backslashreplace").split("\n")
     header = ",".join(COLUMNS[name])
     if not lines or lines[0] != header:
