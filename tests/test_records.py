@@ -130,7 +130,7 @@ def trained(tmp_path_factory):
     """A run with sticky actions, two checks of values and two conditions of evaluation."""
     folder = tmp_path_factory.mktemp("recorded")
     more = {"episodes": 5, "sticky_actions": 0.25, "evaluation_difficulties": [0, 3]}
-    run = Run(Parameters(**{**SMALL, **more, "max_game_frames": 600}), folder)
+    run = Run(Parameters(**{**SMALL, **more, "max_game_frames": 300}), folder)
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("ATARI_DQN_STATE", str(folder / "state"))
         for name, value in SHORT.items():

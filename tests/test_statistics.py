@@ -72,6 +72,11 @@ def test_values_by_cluster_have_the_mean_of_all_and_an_interval_that_holds_the_t
     assert held["as if alone"] / 400 < 0.85
 
 
+def test_values_that_all_begin_alike_stand_for_themselves():
+    values = np.array([1.0, 2.0, 6.0])
+    assert statistics.by_cluster(values, np.zeros(3)).tolist() == values.tolist()
+
+
 def test_too_few_values_make_no_interval():
     first, second = np.arange(4.0), np.arange(3.0)
     with pytest.raises(ValueError, match="two values"):

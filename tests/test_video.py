@@ -42,7 +42,7 @@ def image(png):
 @pytest.mark.parametrize("agent", AGENTS)
 @pytest.mark.parametrize("game", ["boxing", "breakout"])
 def test_the_game_on_video_is_the_evaluated_one(small, game, agent):
-    params = small(game=game, agents=[agent], max_game_frames=1200, evaluation_epsilon=0.3)
+    params = small(game=game, agents=[agent], max_game_frames=600, evaluation_epsilon=0.3)
     network = untrained(params)
     player = player_of(network, params)
     evaluated = {played.game: played for played in play(player, params, 3, seed=5)}

@@ -77,9 +77,12 @@ def blocks(scores: np.ndarray) -> np.ndarray:
 def by_cluster(values: np.ndarray, clusters: np.ndarray) -> np.ndarray:
     """A value per cluster, such that their mean is that of all `values`, and the interval of their
     mean is right though values of one cluster resemble one another: the cluster's own mean, its
-    distance from the mean of all weighted by how many values it has."""
+    distance from the mean of all weighted by how many values it has. Of a single cluster, its
+    values: nothing but chance tells them apart."""
     frame = pd.DataFrame({"value": np.asarray(values, float), "cluster": clusters})
     found = frame.groupby("cluster").value.agg(["mean", "size"])
+    if len(found) == 1:
+        return frame.value.to_numpy()
     overall = frame.value.mean()
     return np.asarray(overall + (found["mean"] - overall) * found["size"] / found["size"].mean())
 
