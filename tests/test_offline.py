@@ -9,7 +9,7 @@ from synthetic import AGENTS, FRAMES, lines_of, numbers, store, study
 
 from atari_dqn.analysis.study import Section
 from atari_dqn.report import offline
-from atari_dqn.runs import records
+from atari_dqn.runs import frames, records
 
 DQN, DOUBLE, DUELING = AGENTS
 
@@ -17,14 +17,15 @@ DQN, DOUBLE, DUELING = AGENTS
 def test_the_size_is_that_of_all_runs_records_and_games(tmp_path, shown):
     offline.show_size(study(tmp_path))
     assert not shown.texts
+    rng = np.random.default_rng(0)
     for agent, games, size in ((DQN, 3000, 1_000_000), (DOUBLE, 500, 500_000)):
         run = store(tmp_path, "boxing_final", agent, np.zeros(games))
-        (run.folder / records.FILE).write_bytes(bytes(size))
+        (run.folder / frames.FILE).write_bytes(frames.encode(rng.bytes(size)))
     offline.show_size(study(tmp_path))
-    frames = 3500 * FRAMES
-    hours = round(frames / 60 / 3600)
-    bits = round(8 * 1_500_000 / (frames / 4), 1)
-    expected = [2, 3500, frames / 1e6, hours, 60, 1.5, bits]
+    played = 3500 * FRAMES
+    hours = round(played / 60 / 3600)
+    bits = round(8 * 1_500_000 / (played / 4), 1)
+    expected = [2, 3500, played / 1e6, hours, 60, 1.5, bits]
     assert numbers(shown.texts[-1]) == pytest.approx(expected)
 
 

@@ -28,7 +28,7 @@ STRUCK = 41  # what both arms are set to by a blow that the agent takes
 REACH = 30  # pixels to the side, and up or down, beyond which no punch lands (results/benchmarks/
 # punches.csv)
 
-BALL, PADDLE = (99, 101), 72  # memory cells: x and y of the ball, x of the paddle, in pixels
+BALL = (99, 101)  # memory cells: x and y of the ball, in pixels
 SPEED = 103  # memory cell: whole pixels per frame that the ball goes down, as a signed byte
 COURT = (55, 211)  # the ball's x at the left wall and at the right
 WALL = 50  # the ball's y below which it is above all bricks
