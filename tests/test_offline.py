@@ -9,7 +9,7 @@ from synthetic import AGENTS, FRAMES, lines_of, numbers, store, study
 
 from atari_dqn.analysis.study import Section
 from atari_dqn.report import offline
-from atari_dqn.runs import frames, records
+from atari_dqn.runs import frames
 
 DQN, DOUBLE, DUELING = AGENTS
 
