@@ -1,6 +1,7 @@
 """Styles are what the console's memory says while recorded greedy episodes are played again."""
 
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -14,6 +15,7 @@ from atari_dqn.report import ram
 from atari_dqn.runs import records, styles, tables
 from atari_dqn.runs.run import Run
 
+ROOT = Path(__file__).parents[1]
 STEPS = 120  # of a recorded episode, agent steps of four frames
 
 
@@ -127,52 +129,77 @@ def test_an_interruption_keeps_what_has_been_measured(run, monkeypatch):
     assert len(pd.read_csv(run.styles)) == 2
 
 
-def follow(game):
-    """Plays Breakout to its end, the paddle always on its way to where the ball is. Returns the
-    pictures before the first step and after each."""
-    pictures, over = [game.render()], False
+def followed(small):
+    """A game of Breakout in which the paddle is always on its way to where the ball is."""
+    parameters = small(game="breakout", max_game_frames=12_000)
+    game, over = make_env(parameters), False
+    game.reset(seed=0)
     while not over:
         ball, paddle = (int(game.ram()[cell]) for cell in (99, 72))
         aim = ball - 8
         action = 0 if abs(aim - paddle) < 4 else 2 if aim > paddle else 3
         over = game.step(action)[2]
-        pictures.append(game.render())
-    return pictures
+    return parameters, game.played()
 
 
-def ball_heights(pictures):
-    """Where the ball is below the wall, in pixels from the top, from pictures; nan elsewhere."""
-    heights = []
-    for picture in pictures:
-        red = (picture[94:189, 8:152] == (200, 72, 72)).all(axis=2).any(axis=1)
-        heights.append(94 + np.flatnonzero(red).mean() if red.any() else np.nan)
-    return np.array(heights)
+def through_the_wall(_):
+    """A greedy game of a finished agent that brings the ball above the wall."""
+    folder = ROOT / "results" / "runs" / "breakout_late" / "dueling_double_dqn" / "seed-1"
+    for heading, record in records.read_file(folder):
+        if heading == {"kind": "values", "episode": 3000, "game": 60002}:
+            return params.load(folder / "params.yaml"), record
+    raise AssertionError("the game is not on record")
 
 
-def test_balls_of_breakout_are_counted_as_the_picture_shows_them(small, tmp_path):
-    parameters = params.pick(small(game="breakout", max_game_frames=12_000), "double_dqn", 1)
-    game = make_env(parameters)
-    game.reset(seed=0)
-    heights = ball_heights(follow(game))
-    run = Run(parameters, tmp_path)
+def ball(picture):
+    """Where the ball is between wall and paddle, x and y in pixels; nan if it is not there."""
+    y, x = (picture[94:189, 8:152] == (200, 72, 72)).all(axis=2).nonzero()
+    return (8 + x.mean(), 94 + y.mean()) if len(x) else (np.nan, np.nan)
+
+
+@pytest.mark.parametrize("played", [followed, through_the_wall])
+def test_balls_of_breakout_are_counted_as_the_picture_shows_them(small, tmp_path, played):
+    parameters, record = played(small)
+    run = Run(params.pick(parameters, parameters.agents[0], 1), tmp_path)
     run.folder.mkdir(parents=True)
     heading = {"kind": "values", "episode": 100, "game": 0}
-    (run.folder / records.FILE).write_bytes(records.encode([(heading, game.played())]))
+    (run.folder / records.FILE).write_bytes(records.encode([(heading, record)]))
     styles.measure(run)
     row = pd.read_csv(run.styles).iloc[0]
-    down, moving = np.diff(heights), np.flatnonzero(np.abs(np.diff(heights)) > 0)
+
+    below, above, scores, lives = [], [], [], []
+    for game in records.replay(run.params, record):
+        picture = game.render()
+        below.append(ball(picture))
+        above.append(picture[32:57, 8:152].any())  # all black but for the ball
+        scores.append(game.score)
+        lives.append(game.lives)
+    below, above = np.array(below), np.array(above)
+    moved = np.diff(below, axis=0) / 4  # pixels per frame, x and y
+    down = moved[:, 1]
+    bounds = [1.75, 2.5]  # of the speeds
     # low in the picture, a ball that came down goes up: steps before and after its return
-    turns = [(a, b) for a, b in pairwise(moving) if down[a] > 0 > down[b] and heights[b] > 160]
-    speeds = [np.nanmedian(down[before - 4 : before]) / 4 for before, _ in turns]
-    speeds = np.digitize(speeds, [1.75, 2.5]).tolist()  # pixels per frame
-    returned = [row[f"returned_{speed}"] for speed in tables.SPEEDS]
-    assert returned == [speeds.count(0), speeds.count(1), speeds.count(2)]
-    assert min(returned) > 2
-    lost = [row[f"lost_{speed}"] for speed in tables.SPEEDS]
-    assert sum(lost) == row.lost_left + row.lost_middle + row.lost_right == 5
-    assert lost.count(0) < 2
-    assert row.score == game.score
-    assert (row.tunnel, row.above) == (0, 0)
+    steps = pairwise(np.flatnonzero(np.abs(down) > 0))
+    turns = [(a, b) for a, b in steps if down[a] > 0 > down[b] and below[b][1] > 160]
+    speeds = np.digitize([np.nanmedian(down[before - 4 : before]) for before, _ in turns], bounds)
+    assert [row[f"returned_{speed}"] for speed in tables.SPEEDS] == np.bincount(speeds).tolist()
+    assert np.bincount(speeds).min() > 2
+
+    lost, speeds, places = np.flatnonzero(np.diff(lives) < 0), [], []
+    for moment in lost:
+        seen = np.flatnonzero(~np.isnan(down[:moment]))[-1]  # the last step all of which is seen
+        x = below[seen + 1][0] + 4 * moved[seen][0] * (moment - seen - 1)
+        speeds.append(np.digitize(down[seen], bounds))
+        places.append(int(np.clip(x - 8, 0, 143)) // 48)  # thirds of the court
+    counted = [row[f"lost_{speed}"] for speed in tables.SPEEDS]
+    assert counted == np.bincount(speeds, minlength=3).tolist()
+    counted = [row[f"lost_{third}"] for third in tables.THIRDS]
+    assert counted == np.bincount(places, minlength=3).tolist()
+    assert row.tunnel == above.any() == (played is through_the_wall)
+    gained = np.diff(scores)[above[:-1] | above[1:]].sum()
+    assert row.above == gained
+    assert (gained > 100) == (played is through_the_wall)
+    assert row.score == scores[-1]
 
 
 def test_no_punch_that_was_measured_lands_from_beyond_reach():

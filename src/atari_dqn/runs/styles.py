@@ -30,8 +30,8 @@ REACH = 30  # pixels to the side, and up or down, beyond which no punch lands (r
 
 BALL = (99, 101)  # memory cells: x and y of the ball, in pixels
 SPEED = 103  # memory cell: whole pixels per frame that the ball goes down, as a signed byte
-COURT = (55, 211)  # the ball's x at the left wall and at the right
-WALL = 50  # the ball's y below which it is above all bricks
+COURT = (57, 200)  # the ball's x at the left wall and at the right; beneath the paddle it goes on
+WALL = 46  # the ball's y below which it is above all bricks
 LOW = 150  # the ball's y beyond which nothing but the paddle returns it
 
 
@@ -139,7 +139,8 @@ def _breakout(
     down = memory[:, SPEED].view(np.int8)
     returned = (down[:-1] > 0) & (down[1:] < 0) & (y[1:] > LOW)  # in the step after each moment
     lost = np.diff(lives) < 0
-    thirds = (x[:-1][lost] - COURT[0]) * 3 // (COURT[1] - COURT[0] + 1)
+    places = np.clip(x[:-1][lost], *COURT) - COURT[0]
+    thirds = places * 3 // (COURT[1] - COURT[0] + 1)
     above = (y > 0) & (y < WALL)  # y is 0 while no ball is in play
     points = np.diff(scores)[above[:-1] | above[1:]].sum()
     balls: dict[str, Any] = {}
