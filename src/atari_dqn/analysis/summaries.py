@@ -324,7 +324,7 @@ def _over_seeds(found: Mean | None) -> str:
 def neighbours(study: Study) -> str:
     """A sentence on how much successive blocks of training episodes resemble one another in the
     stored runs, and how far the intervals are to be trusted then."""
-    found, number = [], 0
+    found = []  # (likeness, blocks) of each stretch
     for section in study.sections.values():
         window = section.milestone_window
         if section.episodes.empty or window < 3 * BLOCK:
@@ -332,18 +332,22 @@ def neighbours(study: Study) -> str:
         for _, run in section.episodes.groupby(["variation", "agent", "seed"]):
             for last in range(window, len(run) + 1, window):
                 means = blocks(run.score.to_numpy()[last - window : last])
-                found.append(likeness(means))
-                number = max(number, len(means))
+                found.append((likeness(means), len(means)))
     if not found:
         return ""
-    middle, most = float(np.median(found)), max(found)
+    middle = float(np.median([alike for alike, _ in found]))
+    most, number = max(found, key=lambda stretch: (stretch[0], -stretch[1]))
+    fewest = min(count for _, count in found)
+    ceiling, more = "", ""
+    if np.isclose(most, 1 - 2 / number):
+        ceiling = f", the most that {number} blocks can show"
+        more = ", or less if the true correlation is higher"
     return (
         f"Between successive blocks of {BLOCK} training games the correlation is measured in "
         f"{len(found)} stretches of our runs: its median is {middle:.2f}, its highest value "
-        f"{most:.2f} (with so few blocks none above {1 - 2 / number:.2f} is counted). At that "
-        f"median, an interval of {number} blocks that is said to hold the "
-        f"mean in 95% of cases does so in {coverage(middle, number):.0%} (simulated); at the "
-        f"highest, in {coverage(most, number):.0%}."
+        f"{most:.2f}{ceiling}. An interval that is said to hold the mean in 95% of cases does so "
+        f"in {coverage(middle, fewest):.0%} at that median ({fewest} blocks, simulated) and in "
+        f"{coverage(most, number):.0%} at the highest value ({number} blocks){more}."
     )
 
 
