@@ -1011,3 +1011,13 @@ def test_three_seeds_a_side_are_compared_as_seeds(tmp_path):
     assert f"difference {welch.low:.1f} to {welch.high:.1f}" in found.evidence
     # of nine pairs of seeds, 35 and 45 are above all three, and 25 above two
     assert "probability of improvement 89%" in found.evidence
+
+
+def test_how_far_a_goal_is_counts_games_not_experiments(tmp_path):
+    """500 of 1,000 games of one, none of 2,000 and 7,000 of the others: a twentieth of all."""
+    store(tmp_path, "boxing_low_gamma", DUELING, np.zeros(500))
+    names = ["boxing_sensitivity", "boxing_low_gamma", "boxing_high_gamma"]
+    stored = study(tmp_path)
+    assert [stored[name].planned for name in names] == [7000, 1000, 2000]
+    found = verdicts.runs_finished(stored, names)
+    assert (found.outcome, numbers(found.evidence)[0]) == (verdicts.Outcome.OPEN, 5)

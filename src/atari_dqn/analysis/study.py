@@ -256,10 +256,14 @@ class Section:
         return self.params.difficulty == 0
 
     @property
+    def planned(self) -> int:
+        """Training games of all its runs."""
+        return len(self.runs) * self.params.episodes
+
+    @property
     def share(self) -> float:
         """Games played, of those planned."""
-        wanted = len(self.runs) * self.params.episodes
-        return min(1.0, len(self.episodes) / wanted)
+        return min(1.0, len(self.episodes) / self.planned)
 
     @property
     def complete(self) -> bool:

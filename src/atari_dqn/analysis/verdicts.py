@@ -587,7 +587,8 @@ def negated(verdict: Verdict) -> Verdict:
 def runs_finished(study: Study, names: list[str]) -> Verdict:
     """An aim that is reached when its runs are there, whatever their seeds."""
     sections = [study[name] for name in names]
-    share = np.mean([section.share for section in sections])
+    planned = [section.planned for section in sections]
+    share = np.average([section.share for section in sections], weights=planned)
     done = all(section.complete for section in sections)
     said = ", ".join(f"{section.name} {_share(section)}" for section in sections)
     said = f"{share:.0%} of the games played ({said})"

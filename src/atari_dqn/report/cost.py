@@ -126,27 +126,31 @@ def show_gpu() -> None:
     if not path.exists():
         return
     runs = pd.read_csv(path)  # as of their last games there
-    for _, side_by_side in runs.groupby("batch"):
-        machine = side_by_side.iloc[0]
-        speeds = side_by_side.agent_steps / side_by_side.seconds
-        show_text(
-            f"On an {machine.gpu}, with {machine.cores} processor cores, {len(speeds)} runs went "
-            f"side by side, {machine.emulator_processes} emulator processes each: they made "
-            f"{min(speeds):,.0f} to {max(speeds):,.0f} agent steps per second each, together "
-            f"{sum(speeds):,.0f}, and stayed for {min(side_by_side.seconds) / 60:.0f} to "
-            f"{max(side_by_side.seconds) / 60:.0f} minutes."
-        )
+    runs["speed"] = runs.agent_steps / runs.seconds
+    batches = runs.groupby("batch")
+    together, machine = batches.speed.sum(), runs.iloc[0]
     lost = int((~runs.came_home).sum())
     show_text(
-        "From there these runs went on on a processor core each (@tbl-provenance), with the "
-        "images of their replay memories played again from the records of their games."
+        f"On an {machine.gpu}, with {machine.cores} processor cores, "
+        f"{_range(batches.size())} runs went side by side, "
+        f"{_range(runs.emulator_processes)} emulator processes each, {batches.ngroups} times, for "
+        f"{_range((runs.seconds / 60).round())} minutes. They made {_range(runs.speed)} agent steps "
+        f"per second each, {_range(together)} together. What was left of a run was done on one "
+        "processor core (@tbl-provenance), with the images of its replay memory played again from "
+        "the records of its games."
         + (
-            f" Of {lost} the state was lost on the way: they went on from where they had been "
-            "before."
+            f" {lost} of the {len(runs)} came home without their state and were resumed from an "
+            "earlier checkpoint."
             if lost
             else ""
         )
     )
+
+
+def _range(values: pd.Series) -> str:
+    """From the lowest to the highest, or the one that there is."""
+    ends = dict.fromkeys(f"{value:,.0f}" for value in (min(values), max(values)))
+    return " to ".join(ends)
 
 
 def show_learners() -> None:
