@@ -106,7 +106,7 @@ def test_games_of_breakout_are_not_won_by_knock_out(tmp_path, shown):
     results.show_evaluations(study(tmp_path)["breakout_final"])
     (row,) = shown.tables["tbl-breakout-final-evaluation"]
     assert row["mean score"] == "30.0"
-    assert not {"won", "by knock-out", "in seconds"} & set(row)
+    assert not {"won", "by knock-out", "seconds to knock-out"} & set(row)
 
 
 def test_conditions_are_rows_of_their_own(tmp_path, shown):
@@ -117,7 +117,7 @@ def test_conditions_are_rows_of_their_own(tmp_path, shown):
     evaluate(run, add=True, score=30.0, sticky_actions=0.25, won=False, games=10)
     results.show_conditions(study(tmp_path)["boxing_expert"])
     rows = shown.tables["tbl-boxing-expert-conditions"]
-    columns = ("difficulty", "sticky", "mean score", "won", "by knock-out", "in seconds")
+    columns = ("difficulty", "sticky", "mean score", "won", "by knock-out", "seconds to knock-out")
     assert [tuple(row[name] for name in columns) for row in rows] == [
         ("1", "0", "40.0", "100%", "25%", "60"),
         ("3", "0", "50.0", "100%", "0%", "–"),

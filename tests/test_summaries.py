@@ -78,14 +78,14 @@ def three_true_and_one_false(results):
 def test_the_claims_that_are_judged_are_counted_by_verdict(tmp_path):
     stored = three_true_and_one_false(tmp_path)
     counted = summaries.headline(stored).split("The source report makes 22 claims", 1)[1]
-    assert "4 have been decided so far (3 “in these runs: yes”, 1 “in these runs: no”)" in counted
+    assert "4 have been judged so far (3 “in these runs: yes”, 1 “in these runs: no”)" in counted
     said = summaries.conclusion(stored)
-    (true,) = re.findall(r"\*In these runs: yes\*: (.*)", said)
-    (false,) = re.findall(r"\*In these runs: no\*: (.*)", said)
+    (true,) = re.findall(r"Claims with the verdict \*in these runs: yes\*: (.*)", said)
+    (false,) = re.findall(r"Claims with the verdict \*in these runs: no\*: (.*)", said)
     assert len(true.split("; ")) == 3
-    assert "Double DQN ends highest in Boxing" in true
-    assert false == "Dueling Double DQN is the best of the first 500 games in both games."
-    assert len(re.findall(r"^\*", said, re.MULTILINE)) == 2, "and none that is open"
+    assert "“Double DQN ends highest in Boxing”" in true
+    assert false == "“Dueling Double DQN is the best of the first 500 games in both games”."
+    assert len(re.findall(r"^Claims with", said, re.MULTILINE)) == 2, "and none that is open"
 
 
 def test_the_conclusion_gives_each_games_agents_the_best_first_and_its_human_score(tmp_path):
@@ -98,8 +98,8 @@ def test_the_conclusion_gives_each_games_agents_the_best_first_and_its_human_sco
     ranked = [("DQN", 36), ("Dueling Double DQN", 21), ("Double DQN", 15)]
     told = [2501, 3000, *(one for pair in ranked for one in pair)]
     assert facts(second)[:9] == [*told, 30.5]
-    assert first.startswith("In Boxing,")
-    assert second.startswith("In Breakout,")
+    assert first.startswith("Over training games 2,501 to 3,000 of Boxing, Double DQN scored 90.0,")
+    assert " of Breakout, DQN scored 36.0, Dueling Double DQN 21.0 and Double DQN 15.0" in second
 
 
 def test_before_an_agent_is_past_its_early_games_the_share_of_all_games_is_told(tmp_path):
@@ -136,7 +136,7 @@ def test_a_readings_line_has_the_last_mean_the_random_share_and_the_largest_drop
     store(tmp_path, "boxing_final", DOUBLE, scores, epsilon=np.linspace(1, 0.07, 400))
     line = lines(summaries.reading(study(tmp_path), "boxing_final"))[0]
     # of 100 games, the mean first passes 12.1 with 85 games about 14 and 15 about 2
-    assert facts(line) == ["Double DQN", 14.0, 100, 400, 7, 100, 12.1, 385, 8.0]
+    assert facts(line) == ["Double DQN", 14.0, 100, 400, 7, 100, 12.1, 385, 100, 8.0]
 
 
 def test_a_run_that_never_passes_the_human_score_is_not_said_to(tmp_path):
@@ -249,7 +249,8 @@ def test_an_agent_that_has_just_begun_is_named_and_compared_with_nobody(tmp_path
     assert "After 600 games of Boxing each, Double DQN scores 9.0 points per game" in headline
     assert "and DQN 5.0 (mean of the last 100 games" in headline
     said = summaries.conclusion(stored)
-    assert "over training games 501 to 600, Double DQN 9.0, DQN 5.0 (mean score per game" in said
+    told = "Over training games 501 to 600 of Boxing, Double DQN scored 9.0 and DQN 5.0 points"
+    assert said.startswith(told)
     assert "one human tester: 12.1" in said
     store(tmp_path, "breakout_final", "dqn", np.full(700, 25.0))
     assert "DQN 25.0" in summaries.headline(study(tmp_path)), "the other game"
@@ -358,6 +359,11 @@ def test_a_tile_has_the_source_reports_scores_and_ours(tmp_path):
     assert facts(theirs) == ["DQN", 51.6, "Double DQN", 80.2, "Dueling Double DQN", 72.4]
     assert ours.endswith("Dueling Double DQN –.")
     assert "5" not in said, "the source report alone has a score"
+    store(tmp_path, "breakout_late", DOUBLE, np.full(3000, 16.8))
+    found = {tile[1]: tile[3] for tile in TILE.findall(summaries.board(study(tmp_path)))}
+    theirs, ours = found["8"].split(" Ours: ")
+    assert facts(theirs) == ["DQN", 26.3]
+    assert "Double DQN 16.8" in ours, "of those it is compared with"
     assert "Boxing 36.3, Breakout 4.9" in summaries._numbers(study(tmp_path), FINDINGS[2])
 
 

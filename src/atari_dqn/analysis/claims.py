@@ -164,7 +164,7 @@ FINDINGS = (
         lambda study: compare_agents(study, "breakout_late", DQN, REFINED, 6),
         "DQN is the best in the second of three Breakout experiments",
         "sec-breakout-late",
-        _scores("breakout_late", [DQN], 6),
+        _scores("breakout_late", ALL, 6),
     ),
     Claim(
         "A penalty for losing a life helps in Breakout (together with larger batches and less "

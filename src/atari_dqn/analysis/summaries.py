@@ -85,7 +85,10 @@ class Standings:
 
     @property
     def listed(self) -> str:
-        return ", ".join(f"{agent} {mean:.1f}" for agent, mean in self.means.items())
+        """In words: "A scored 3.0, B 2.0 and C 1.0"."""
+        (best, top), *others = self.means.items()
+        said = [f"{best} scored {top:.1f}", *(f"{agent} {mean:.1f}" for agent, mean in others)]
+        return _in_a_row(said)
 
 
 def standings(section: Section) -> Standings | None:
@@ -111,12 +114,12 @@ def headline(study: Study) -> str:
     testable, judged = _judged(verdicts)
     claims = f"The source report makes {testable} claims that can be tested by training"
     if judged.empty:
-        claims += "; none has been decided yet."
+        claims += "; none has been judged yet."
     else:
         counted = ", ".join(f"{number} \u201c{word}\u201d" for word, number in judged.items())
         verb = "has" if judged.sum() == 1 else "have"
         so_far = " so far" if judged.sum() < testable else ""
-        claims += f"; {judged.sum()} {verb} been decided{so_far} ({counted})."
+        claims += f"; {judged.sum()} {verb} been judged{so_far} ({counted})."
     parts = (f"**{text}**", beside_source(section), compared(study["breakout_final"]), claims)
     return " ".join(filter(None, parts))
 
@@ -162,8 +165,8 @@ def compared(section: Section) -> str:
     if (found := standings(section)) is None:
         return ""
     text = (
-        f"In {section.facts.title}, over {found.episodes}, {found.listed} (mean score per game; "
-        f"one human tester: {section.facts.human:g})."
+        f"Over {found.episodes} of {section.facts.title}, {found.listed} points per game (one human "
+        f"tester: {section.facts.human:g})."
     )
     played = section.episodes.groupby("agent").episode.max().rename(index=params.title)
     for agent in map(params.title, section.params.agents):
@@ -190,7 +193,8 @@ def conclusion(study: Study) -> str:
         said.append(together)
     judged = findings(study)
     for verdict, rows in judged[~judged.verdict.isin(UNJUDGED)].groupby("verdict", sort=False):
-        said.append(f"*{str(verdict).capitalize()}*: {'; '.join(rows.claim)}.")
+        claimed = "; ".join(f"\u201c{claim}\u201d" for claim in rows.claim)
+        said.append(f"Claims with the verdict *{verdict}*: {claimed}.")
     return "\n\n".join(said)
 
 
@@ -293,8 +297,9 @@ PENDING = "Ours: pending"
 
 
 def _numbers(study: Study, claim: Claim) -> str:
-    """The source report's scores that a claim is about, and ours, with intervals if they are over
-    seeds; empty if it gives none, or our runs are not as long as its own."""
+    """The source report's scores that a claim is about, as far as it gives them, and ours, with
+    intervals if they are over seeds; empty if it gives none, or our runs are not as long as its
+    own."""
     agents, games = ({score[place] for score in claim.scores} for place in (1, 0))
     theirs, ours, reached = [], [], False
     for experiment, agent, milestone in claim.scores:
@@ -303,7 +308,8 @@ def _numbers(study: Study, claim: Claim) -> str:
             return ""
         named = f"{params.title(agent)} " * (len(agents) > 1)
         named = f"{section.facts.title} " * (len(games) > 1) + named
-        theirs.append(f"{named}{data('source_report')[experiment][agent][milestone - 1]:.1f}")
+        if agent in (given := data("source_report")[experiment]):
+            theirs.append(f"{named}{given[agent][milestone - 1]:.1f}")
         found = mean_score(section, agent, *milestone_episodes(section, milestone))
         ours.append(f"{named}{_over_seeds(found)}")
         reached |= found is not None
@@ -412,7 +418,8 @@ def _progress(section: Section, played: pd.DataFrame) -> str:
     fall = (means.cummax() - means).max()
     so_far = "" if finished else " so far"
     return (
-        f"{text}; the largest drop{so_far} of this mean from its earlier peak was {fall:.1f} points"
+        f"{text}; the largest drop{so_far} of the mean of {recent} games from its earlier peak was "
+        f"{fall:.1f} points"
     )
 
 

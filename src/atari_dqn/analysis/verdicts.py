@@ -562,7 +562,8 @@ def _beaten_by(agent: str, played: pd.DataFrame, planned: int) -> Verdict:
         sizes = played.groupby(["difficulty", "seed"]).size()
         seeds = sizes[sizes > 1].groupby("difficulty").size()
     if (tested := int((seeds >= planned).sum())) < DIFFICULTIES:
-        said = f"{params.title(agent)} is evaluated at {tested} of {DIFFICULTIES} difficulties"
+        said = f"the final {params.title(agent)} is evaluated at {tested} of {DIFFICULTIES} "
+        said += "difficulties"
         return Verdict(Outcome.OPEN, f"{said} so far")
     parts = {}
     for difficulty, found in played.groupby("difficulty"):

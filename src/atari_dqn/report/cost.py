@@ -131,13 +131,12 @@ def show_gpu() -> None:
     together, machine = batches.speed.sum(), runs.iloc[0]
     lost = int((~runs.came_home).sum())
     show_text(
-        f"On an {machine.gpu}, with {machine.cores} processor cores, "
-        f"{_range(batches.size())} runs went side by side, "
-        f"{_range(runs.emulator_processes)} emulator processes each, {batches.ngroups} times, for "
-        f"{_range((runs.seconds / 60).round())} minutes. They made {_range(runs.speed)} agent steps "
-        f"per second each, {_range(together)} together. What was left of a run was done on one "
-        "processor core (@tbl-provenance), with the images of its replay memory played again from "
-        "the records of its games."
+        f"On an {machine.gpu}, with {machine.cores} processor cores, {_range(batches.size())} runs "
+        f"went side by side, {_range(runs.emulator_processes)} emulator processes each, "
+        f"{batches.ngroups} times, for {_range((runs.seconds / 60).round())} minutes. They made "
+        f"{_range(runs.speed)} agent steps per second each, {_range(together)} together. What was "
+        "left of a run was done on one processor core (@tbl-provenance), with the images of its "
+        "replay memory played again from the records of its games."
         + (
             f" {lost} of the {len(runs)} came home without their state and were resumed from an "
             "earlier checkpoint."

@@ -305,9 +305,11 @@ def _summary(section: Section, games: pd.DataFrame) -> dict:
         row["won"] = f"{games.won.mean():.0%}"
         knocked_out = games[games.knockout == 1]
         row["by knock-out"] = f"{len(knocked_out) / len(games):.0%}"
-        row["in seconds"] = "–"
+        row["seconds to knock-out"] = "–"
         if len(knocked_out):
-            row["in seconds"] = f"{60 * knocked_out.frames.mean() / FRAMES_PER_MINUTE:.0f}"
+            row["seconds to knock-out"] = (
+                f"{60 * knocked_out.frames.mean() / FRAMES_PER_MINUTE:.0f}"
+            )
     return row
 
 
@@ -484,8 +486,8 @@ def show_robustness(section: Section) -> None:
         label=label,
         caption=f"{section.title}: greedy games of finished agents under "
         "conditions that they were trained for (first) and that they were not. The best "
-        f"evaluation game's moves are made in each of the {p.noop_max} openings. Intervals are "
-        "over openings.",
+        f"evaluation game's moves are made in each of the {p.noop_max - 1} other openings. "
+        "Intervals are over openings.",
         decimals=1,
     )
     games, steps = OPENINGS
@@ -495,8 +497,8 @@ def show_robustness(section: Section) -> None:
         if run.robustness.exists()
     ]
     show_text(
-        f"Of the last {games} training games, those whose first {steps} steps are, action for "
-        f"action, those of another are: {', '.join(said)}."
+        f"Of the last {games} training games, so many begin with the same {steps} steps, action "
+        f"for action, as another: {', '.join(said)}."
     )
 
 

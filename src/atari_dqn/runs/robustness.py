@@ -1,7 +1,7 @@
 """Does an agent know its game, or a sequence of moves? Greedy games under conditions that it has
 never met:
 
-    sequence    the moves of its best evaluation game, made blindly in every opening of the game
+    sequence    the moves of its best evaluation game, made blindly in every other opening
     mirrored    left and right exchanged, in what it sees and in what it does
 
 Sticky actions, the third such condition, are a part of every final evaluation.
@@ -62,11 +62,11 @@ def measure(run: Run) -> None:
 
 
 def _sequence(run: Run, trained: int) -> Iterator[Trial]:
-    moves = best_game(run, trained).actions
-    openings = range(1, run.params.noop_max + 1)
+    best = best_game(run, trained)
+    openings = [idle for idle in range(1, run.params.noop_max + 1) if idle != best.idle_frames]
     for idle in tqdm(openings, desc=f"blind games of {run.name}", mininterval=2):
-        env, _ = records.begin(run.params, EpisodeRecord(idle, moves, None))
-        play_blindly(env, moves)
+        env, _ = records.begin(run.params, EpisodeRecord(idle, best.actions, None))
+        play_blindly(env, best.actions)
         yield Trial(SEQUENCE, idle, env.score, env.length, trained)
 
 
