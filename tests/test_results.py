@@ -221,15 +221,16 @@ def test_seeds_weigh_alike_in_what_transfer_is_worth(tmp_path, shown):
 
 def test_play_styles_are_rows_of_the_same_training_the_lowest_discount_first(tmp_path, shown):
     final = store(tmp_path, "boxing_final", DUELING, np.zeros(1200))
-    style(final, np.r_[np.full(5, 10.0), np.full(5, 30.0), 50.0, 50.0], conceded=20.0, reach=0.25)
+    own = np.r_[np.full(5, 10.0), np.full(4, 30.0), FAR, 50.0, 50.0]  # the tenth check is its alone
+    style(final, own, conceded=20.0, reach=0.25)
     style(store(tmp_path, "boxing_final", DQN, np.zeros(1200)), np.full(12, FAR))  # another agent's
     stored = study(tmp_path)
     played = [stored["boxing_final"], stored["boxing_low_gamma"]]
     results.show_playstyle(played, "tbl-playstyle")
     assert "tbl-playstyle" not in shown.tables, "one discount is no comparison"
     assert "#tbl-playstyle .absent" in shown.texts[-1]
-    low = store(tmp_path, "boxing_low_gamma", DUELING, np.zeros(1000))
-    style(low, np.full(10, -5.0), scored=30.0, conceded=60.0, punches=50, distance=25.0)
+    low = store(tmp_path, "boxing_low_gamma", DUELING, np.zeros(900))
+    style(low, np.full(9, -5.0), scored=30.0, conceded=60.0, punches=50, distance=25.0)
     stored = study(tmp_path)
     results.show_playstyle([stored["boxing_final"], stored["boxing_low_gamma"]], "tbl-playstyle")
     rows = [list(row.values()) for row in shown.tables["tbl-playstyle"]]
@@ -238,9 +239,9 @@ def test_play_styles_are_rows_of_the_same_training_the_lowest_discount_first(tmp
     assert rows == [
         ["1 to 500", "0.9", *reckless],
         ["1 to 500", "0.99", "10.0", *careful],
-        ["501 to 1,000", "0.9", *reckless],
-        ["501 to 1,000", "0.99", "30.0", *careful],
-        ["1,001 to 1,500", "0.99", "50.0", *careful],
+        ["501 to 900", "0.9", *reckless],
+        ["501 to 900", "0.99", "30.0", *careful],
+        ["1,001 to 1,200", "0.99", "50.0", *careful],
     ]
     assert "per minute" in shown.captions["tbl-playstyle"]
 

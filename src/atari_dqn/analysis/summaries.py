@@ -165,8 +165,8 @@ def compared(section: Section) -> str:
     if (found := standings(section)) is None:
         return ""
     text = (
-        f"Over {found.episodes} of {section.facts.title}, {found.listed} points per game (one human "
-        f"tester: {section.facts.human:g})."
+        f"Over {found.episodes} of {section.facts.title}, {found.listed} points per game (one "
+        f"human tester: {section.facts.human:g})."
     )
     played = section.episodes.groupby("agent").episode.max().rename(index=params.title)
     for agent in map(params.title, section.params.agents):

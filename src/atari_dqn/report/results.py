@@ -585,13 +585,19 @@ def show_playstyle(sections: Sequence[Section], label: str) -> None:
         return
     rows = []
     for first in range(1, max(section.params.episodes for section in measured), PART):
-        for section in sorted(measured, key=lambda section: section.params.gamma):
-            table = tables[section]
-            part = table[table.episode.between(first, first + PART - 1)]
+        span = range(first, first + PART)
+        there = [
+            (section, checks)
+            for section in sorted(measured, key=lambda section: section.params.gamma)
+            if (checks := set(tables[section].episode).intersection(span))
+        ]
+        shared = set.intersection(*(checks for _, checks in there)) if there else set()
+        for section, _ in there:
+            part = tables[section][tables[section].episode.isin(shared)]
             if not part.empty:
                 rows.append(
                     {
-                        "training games": f"{first:,} to {first + PART - 1:,}",
+                        "training games": f"{first:,} to {max(shared):,}",
                         "discount": f"{section.params.gamma:g}",
                         "score": part.score.mean(),
                         **{name: part[column].mean() for column, name in STYLE.items()},
@@ -605,8 +611,9 @@ def show_playstyle(sections: Sequence[Section], label: str) -> None:
         caption=f"How {agent} boxes with different discounts, in the greedy games of the checks "
         f"along its training ({VALUE_GAMES} every {VALUES_PERIOD} training games): points and "
         "punches per minute, mean distance of the two boxers in pixels, and the share of the time "
-        "in which they stand so near that a punch can land. Style and skill go together: compare "
-        "rows of the same training games, and rows of about the same score.",
+        "in which they stand so near that a punch can land. In each part of the training, only "
+        "checks that all runs have which came so far. Style and skill go together: compare rows of "
+        "the same training games, and rows of about the same score.",
         decimals=1,
     )
 

@@ -147,10 +147,17 @@ end
 
 local after_long = false -- what floats to the top, after a broken table, would stand within that
 
-local function short_table(element)
+-- A name may be broken after its underscores, rather than overlap the next column.
+local function breakable(code)
+  code.text = code.text:gsub("_", "_\u{200b}")
+  return code
+end
+
+local function on_paper_table(element)
+  element = element:walk({ Code = breakable })
   if rows(element) > WHOLE then
     after_long = true
-    return nil
+    return element
   end
   return wrapped(after_long and "#floating(to: bottom)[" or "#floating[", { element }, "]")
 end
@@ -177,7 +184,7 @@ end
 
 local first = { Str = minus, Span = span, Div = division, Pandoc = document }
 if paper then
-  first.Figure, first.Table, first.CodeBlock, first.Inlines = figure, short_table, listing, times
+  first.Figure, first.Table, first.CodeBlock, first.Inlines = figure, on_paper_table, listing, times
   first.Header = heading
 else
   first.Inlines = glue
