@@ -378,7 +378,8 @@ def reading(study: Study, experiment: str) -> str:
         if experiment not in claim.experiments:
             continue
         found = claim.judge(study)
-        said = f"- *{found.verdict.capitalize()}*: claim {number}, {claim.text}. ({found.evidence})"
+        said = f"- *{found.verdict.capitalize()}*: claim {number}, \u201c{claim.text}\u201d "
+        said += f"({found.evidence})."
         if found.outcome == Outcome.OPEN:
             waiting.append(number)
         else:
