@@ -898,14 +898,14 @@ def test_an_evaluation_of_a_finished_run_decides_and_none_of_an_unfinished_one(t
 
 
 def test_greedy_episodes_that_begin_alike_are_one_piece_of_evidence(tmp_path):
-    """Openings differ by more than the two agents do; 100 games have 29 of them."""
+    """Openings differ by more than the two agents do; 100 games of Breakout have four of them."""
     claim, sides = CASES["7 preprocessing"].claim, []
     for seed, (experiment, mean, length) in enumerate(((EARLY, 20.0, 7000), (LATE, 24.0, 3000))):
         run = store(tmp_path, experiment, DQN, scores(50.0, length))
         evaluate(run, games=100)
         path = run.folder / "evaluations.csv"
         table = pd.read_csv(path)
-        worth = np.random.default_rng(seed).normal(0, 12, 31)[openings(table, run.params)]
+        worth = np.random.default_rng(seed).normal(0, 12, 4)[openings(table, run.params)]
         table["score"] = mean + worth - worth.mean()
         put_evaluations(path, table)
         sides.append(table.score)

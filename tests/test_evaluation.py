@@ -5,7 +5,7 @@ import pytest
 from atari_dqn import evaluation
 from atari_dqn.agents import AGENTS
 from atari_dqn.analysis.study import openings
-from atari_dqn.envs import AtariEnv, make_env
+from atari_dqn.envs import AtariEnv, EpisodeRecord, make_env
 from atari_dqn.evaluation import (
     PLAYED_COLUMNS,
     check_values,
@@ -14,7 +14,8 @@ from atari_dqn.evaluation import (
     play,
     player_of,
 )
-from atari_dqn.runs import recorder
+from atari_dqn.games import GAMES
+from atari_dqn.runs import recorder, records
 from atari_dqn.runs.run import Run
 from atari_dqn.schedules import epsilon_greedy
 
@@ -215,6 +216,25 @@ def test_the_opening_of_an_evaluation_game_follows_from_its_number_and_the_seed(
     for seed in (1, 2):
         played = list(evaluation.play(lambda seen: np.zeros((len(seen), 18)), parameters, 12, seed))
         table = pd.DataFrame({"seed": seed, "game": [episode.game for episode in played]})
+        table = table.assign(sticky_actions=0.0, epsilon=0.001)
         drawn = [episode.record.idle_frames for episode in played]
         assert openings(table, parameters) == drawn
         assert len(set(drawn)) > 5
+        breakout = parameters.model_copy(update={"game": "breakout"})
+        assert openings(table, breakout) == [idle % 4 for idle in drawn]
+        for chance in ({"sticky_actions": 0.25}, {"epsilon": 1.0}):
+            assert len(set(openings(table.assign(**chance), breakout))) == 12, "none is another"
+
+
+@pytest.mark.parametrize(("game", "different"), [("breakout", 4), ("boxing", 30)])
+def test_idle_frames_lead_to_as_many_different_games_as_is_said(small, game, different):
+    """By the pictures of 40 steps of the same moves."""
+    parameters, pictures = small(game=game, noop_max=30, max_game_frames=400), {}
+    for idle in range(1, 31):
+        env, _ = records.begin(parameters, EpisodeRecord(idle, b"", None))
+        moves = np.random.default_rng(0).integers(len(env.actions), size=40)
+        seen = b"".join(env.step(int(move))[0].tobytes() for move in moves)
+        pictures.setdefault(seen, set()).add(GAMES[game].opening(idle))
+    assert len(pictures) == different
+    assert all(len(opening) == 1 for opening in pictures.values())
+    assert len(set.union(*pictures.values())) == different

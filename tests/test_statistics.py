@@ -72,9 +72,17 @@ def test_values_by_cluster_have_the_mean_of_all_and_an_interval_that_holds_the_t
     assert held["as if alone"] / 400 < 0.85
 
 
-def test_values_that_all_begin_alike_stand_for_themselves():
+def test_values_of_a_single_cluster_are_one_value_and_make_no_interval():
     values = np.array([1.0, 2.0, 6.0])
-    assert statistics.by_cluster(values, np.zeros(3)).tolist() == values.tolist()
+    assert statistics.by_cluster(values, np.zeros(3)).tolist() == [3.0]
+    with pytest.raises(ValueError, match="at least two"):
+        statistics.cluster_interval(values, np.zeros(3))
+
+
+def test_an_interval_by_cluster_is_students_over_the_clusters():
+    low, high = statistics.cluster_interval(np.array([1.0, 1.0, 5.0, 5.0]), np.array([1, 1, 2, 2]))
+    half = 2 * stats.t.ppf(0.975, 1)  # standard error 2, of two values
+    assert (low, high) == pytest.approx((3 - half, 3 + half))
 
 
 def test_too_few_values_make_no_interval():

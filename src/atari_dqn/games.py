@@ -19,6 +19,8 @@ class GameFacts:
     wins_at: float = inf  # points from which a game is won, where that can be
     fire_to_serve: bool = False  # FIRE brings the ball into play, at the start and after every
     # lost life
+    idle_cycle: int | None = None  # idle frames after which a game begins as if there had been
+    # none, where nothing moves before the first action
     knockout_cells: tuple[int, int] | None = None  # RAM cells that read 0xC0 when the agent, or its
     # rival, has knocked the other out
     boxers: tuple[tuple[int, int], tuple[int, int]] | None = None  # RAM cells of x and y, in
@@ -30,6 +32,10 @@ class GameFacts:
     @property
     def title(self) -> str:
         return self.name.replace("_", " ").title()
+
+    def opening(self, idle_frames: int) -> int:
+        """Which of the different games begins after so many idle frames."""
+        return idle_frames % self.idle_cycle if self.idle_cycle else idle_frames
 
 
 GAMES = {
@@ -57,7 +63,7 @@ GAMES = {
             full_frames=7141,
             clock_cells=(16, 17),
         ),
-        GameFacts("breakout", 1.7, 30.5, (0, 1), 864, fire_to_serve=True),
+        GameFacts("breakout", 1.7, 30.5, (0, 1), 864, fire_to_serve=True, idle_cycle=4),
         GameFacts("centipede", 2090.9, 12017.0, (0,)),
         GameFacts("chopper_command", 811.0, 7387.8, (0, 1)),
         GameFacts("crazy_climber", 10780.5, 35829.4, (0, 1)),

@@ -77,14 +77,17 @@ def blocks(scores: np.ndarray) -> np.ndarray:
 def by_cluster(values: np.ndarray, clusters: np.ndarray) -> np.ndarray:
     """A value per cluster, such that their mean is that of all `values`, and the interval of their
     mean is right though values of one cluster resemble one another: the cluster's own mean, its
-    distance from the mean of all weighted by how many values it has. Of a single cluster, its
-    values: nothing but chance tells them apart."""
+    distance from the mean of all weighted by how many values it has."""
     frame = pd.DataFrame({"value": np.asarray(values, float), "cluster": clusters})
     found = frame.groupby("cluster").value.agg(["mean", "size"])
-    if len(found) == 1:
-        return frame.value.to_numpy()
     overall = frame.value.mean()
     return np.asarray(overall + (found["mean"] - overall) * found["size"] / found["size"].mean())
+
+
+def cluster_interval(values: np.ndarray, clusters: np.ndarray) -> tuple[float, float]:
+    """95% interval of the mean of values of which those of one cluster resemble one another
+    (Student's t over `by_cluster`). Raises ValueError for a single cluster."""
+    return student_interval(by_cluster(values, clusters))
 
 
 def student_interval(values: np.ndarray) -> tuple[float, float]:

@@ -59,16 +59,22 @@ def spelled(variation: str) -> str:
 
 
 def openings(games: pd.DataFrame, parameters: Parameters) -> list[int]:
-    """The idle frames with which evaluation games (columns seed and game) begin, as
-    `evaluation.EpisodeInProgress` draws them. Games of one opening resemble one another: greedy
-    ones differ by their few random moves only."""
-    return [
-        _opening(parameters.noop_max, *each) for each in zip(games.seed, games.game, strict=True)
-    ]
+    """The openings of evaluation games (columns seed, game, sticky_actions and epsilon), by the
+    idle frames that `evaluation.EpisodeInProgress` draws. Games of one opening resemble one
+    another: greedy ones differ by their few random moves only. Games with much chance, of sticky
+    actions or of random play, resemble none: a negative number each."""
+    facts, found = GAMES[parameters.game], []
+    for place, game in enumerate(games.itertuples(index=False), start=1):
+        if game.sticky_actions > 0 or game.epsilon == 1:
+            found.append(-place)
+        else:
+            idle = _idle_frames(parameters.noop_max, game.seed, game.game)
+            found.append(facts.opening(idle))
+    return found
 
 
 @cache
-def _opening(noop_max: int, seed: int, game: int) -> int:
+def _idle_frames(noop_max: int, seed: int, game: int) -> int:
     stream = np.random.SeedSequence(seed, spawn_key=(EVALUATION, game)).generate_state(2)[0]
     given = np.random.SeedSequence(int(stream)).generate_state(1)[0]  # as Gymnasium seeds a game
     rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(int(given))))

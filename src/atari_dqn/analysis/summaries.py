@@ -11,9 +11,8 @@ from atari_dqn.analysis.statistics import (
     BLOCK,
     MILESTONES,
     blocks,
-    by_cluster,
+    cluster_interval,
     coverage,
-    interval,
     iqm,
     likeness,
     stratified_interval,
@@ -249,7 +248,7 @@ def head_start(study: Study, experiment: str, base: str) -> str:
         played = pd.concat([each.random_play_at(difficulty) for each in sections])
         if len(played) < 2:
             return ""
-        low, high = interval(by_cluster(played.score, played.opening))
+        low, high = cluster_interval(played.score, played.opening)
         means.append(played.score.mean())
         said.append(f"{means[-1]:.1f} ({low:.1f} to {high:.1f}) at difficulty {difficulty}")
     gap = round(means[0], 1) - round(means[1], 1)  # of what is said

@@ -27,6 +27,7 @@ from atari_dqn.analysis.statistics import (
     BLOCK,
     blocks,
     by_cluster,
+    cluster_interval,
     probability_of_improvement,
     series_interval,
     stratified_interval,
@@ -333,7 +334,9 @@ def compare_evaluations(study: Study, first: str, second: str) -> list[Verdict]:
     for agent in _shared(pair):
         played = [_greedy_episodes(section, agent) for section in pair]
         if any(
-            len(found) < 2 or found.seed.nunique() < len(section.params.seeds)
+            found.empty
+            or found.opening.nunique() < 2
+            or found.seed.nunique() < len(section.params.seeds)
             for section, found in zip(pair, played, strict=True)
         ):
             verdicts.append(_not_yet(*pair))
@@ -559,8 +562,8 @@ def _beaten_by(agent: str, played: pd.DataFrame, planned: int) -> Verdict:
     """An agent wins on average at every difficulty of its evaluation episodes."""
     seeds = pd.Series(dtype=int)
     if not played.empty:
-        sizes = played.groupby(["difficulty", "seed"]).size()
-        seeds = sizes[sizes > 1].groupby("difficulty").size()
+        begun = played.groupby(["difficulty", "seed"]).opening.nunique()
+        seeds = begun[begun > 1].groupby("difficulty").size()
     if (tested := int((seeds >= planned).sum())) < DIFFICULTIES:
         said = f"the final {params.title(agent)} is evaluated at {tested} of {DIFFICULTIES} "
         said += "difficulties"
@@ -570,7 +573,7 @@ def _beaten_by(agent: str, played: pd.DataFrame, planned: int) -> Verdict:
         if planned >= SEEDS:
             low, high = student_interval(found.groupby("seed").score.mean().to_numpy())
         else:
-            low, high = student_interval(by_cluster(found.score, found.opening))
+            low, high = cluster_interval(found.score, found.opening)
         parts[difficulty] = (Mean(found.score.mean(), low, high, planned), MORE(low, high))
     hardest = min(parts, key=lambda difficulty: parts[difficulty][0].mean)
     won = sum(outcome == Outcome.YES for _, outcome in parts.values())

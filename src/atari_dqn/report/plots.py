@@ -24,7 +24,10 @@ from matplotlib.patheffects import withStroke
 from scipy import stats
 
 from atari_dqn import params
-from atari_dqn.analysis.statistics import by_cluster, interval, trailing_mean
+from atari_dqn.analysis.statistics import (
+    cluster_interval,
+    trailing_mean,
+)
 from atari_dqn.analysis.study import spelled
 from atari_dqn.envs import SIZE, AtariEnv
 from atari_dqn.games import GAMES, GameFacts
@@ -414,8 +417,8 @@ def score_distributions(evaluations: pd.DataFrame, facts: GameFacts | None) -> F
             dots = {"ms": 3.2, "alpha": 0.4, "mew": 0, "color": STYLES[agent].colour}
             axes.plot(scores, heights, "o", **dots)
             mean = scores.mean()
-            if len(scores) > 1:
-                spread_of_mean = interval(by_cluster(scores, run.opening.to_numpy()))
+            if run.opening.nunique() > 1:
+                spread_of_mean = cluster_interval(scores, run.opening.to_numpy())
                 axes.plot(spread_of_mean, [y, y], color=INK, lw=2.2, solid_capstyle="butt")
             axes.plot(mean, y, "D", ms=6, color=STYLES[agent].colour, mec=INK, mew=1.2, zorder=4)
             how = {"textcoords": "offset points", "ha": "center", "va": "bottom", "color": INK}

@@ -10,7 +10,7 @@ from atari_dqn import params
 from atari_dqn.analysis import summaries
 from atari_dqn.analysis.statistics import (
     MILESTONES,
-    by_cluster,
+    cluster_interval,
     interval,
     scores_at_milestones,
 )
@@ -206,7 +206,7 @@ def show_evaluations(section: Section) -> None:
         label=figure,
         caption=f"{section.title}: scores of the evaluation games "
         f"({games} per run; {p.evaluation_epsilon:.1%} of the actions are random). Diamonds: the "
-        "mean of each run, with its 95% interval (bootstrap over openings).",
+        "mean of each run, with its 95% interval (Student's t over openings).",
         alt=f"Dots for each agent's evaluation scores in {section.facts.title}, and their means.",
         data=section.origin + "evaluations.csv",
     )
@@ -221,8 +221,8 @@ def show_evaluations(section: Section) -> None:
         pd.DataFrame(rows).astype({"seed": "Int64", "training games": "Int64"}),
         label=table,
         caption=f"{section.title}: evaluation games at difficulty "
-        f"{p.difficulty}. The interval is over the openings of a run's games (bootstrap), not over "
-        "seeds.",
+        f"{p.difficulty}. The interval is over the openings of a run's games (Student's t), not "
+        "over seeds.",
         decimals=1,
     )
 
@@ -294,13 +294,17 @@ def _evaluated(section: Section, agent: str, seed: int, games: pd.DataFrame) -> 
     }
 
 
+def _interval(games: pd.DataFrame) -> str:
+    """Of the mean score of games (columns score and opening); a dash for a single opening."""
+    if games.opening.nunique() < 2:
+        return "–"
+    return "{:.1f} to {:.1f}".format(*cluster_interval(games.score, games.opening))
+
+
 def _summary(section: Section, games: pd.DataFrame) -> dict:
     """Mean score, interval, and in Boxing the shares of wins and of knock-outs, and how long the
     agent needs for one."""
-    row = {"mean score": games.score.mean(), "95% interval": "–"}
-    if len(games) > 1:
-        low, high = interval(by_cluster(games.score, games.opening))
-        row["95% interval"] = f"{low:.1f} to {high:.1f}"
+    row = {"mean score": games.score.mean(), "95% interval": _interval(games)}
     if section.facts.knockout_cells is not None:
         row["won"] = f"{games.won.mean():.0%}"
         knocked_out = games[games.knockout == 1]
@@ -467,9 +471,7 @@ def show_robustness(section: Section) -> None:
     for agent, seed in played[["agent", "seed"]].drop_duplicates().itertuples(index=False):
         for name, games in conditions.items():
             own = games[(games.agent == agent) & (games.seed == seed)]
-            if len(own) > 1:
-                begun = own.game if name == BLINDLY else openings(own, p)
-                low, high = interval(by_cluster(own.score, begun))
+            if len(own):
                 rows.append(
                     {
                         "agent": params.title(agent),
@@ -477,7 +479,7 @@ def show_robustness(section: Section) -> None:
                         "condition": name,
                         "games": len(own),
                         "mean score": own.score.mean(),
-                        "95% interval": f"{low:.1f} to {high:.1f}",
+                        "95% interval": _interval(own),
                     }
                 )
     table = pd.DataFrame(rows)
@@ -486,8 +488,7 @@ def show_robustness(section: Section) -> None:
         label=label,
         caption=f"{section.title}: greedy games of finished agents under "
         "conditions that they were trained for (first) and that they were not. The best "
-        f"evaluation game's moves are made in each of the {p.noop_max - 1} other openings. "
-        "Intervals are over openings.",
+        "evaluation game's moves are made in every other opening. Intervals are over openings.",
         decimals=1,
     )
     games, steps = OPENINGS
@@ -503,7 +504,13 @@ def show_robustness(section: Section) -> None:
 
 
 def _under(section: Section, condition: str) -> pd.DataFrame:
-    return section.robustness[section.robustness.condition == condition]
+    """The games of one condition, and the opening of each."""
+    games, p = section.robustness, section.params
+    games = games[games.condition == condition]
+    if condition == robustness.SEQUENCE:
+        return games.assign(opening=games.game)
+    drawn = games.assign(sticky_actions=p.sticky_actions, epsilon=p.evaluation_epsilon)
+    return games.assign(opening=openings(drawn, p))
 
 
 LOWEST = -100.0  # points, the worst that an episode of Boxing can end with

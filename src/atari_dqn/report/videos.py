@@ -26,8 +26,8 @@ MIND = (
 TRACE = (
     "[Below each picture: the value of the best action over the last seconds, with white triangles "
     "above it for points scored and grey ones below it for points conceded.]{.page} [Below the "
-    "pictures: the value of the best action (max Q), or of the state if the network has a stream for "
-    "it (V(s)), with a thin line at each picture.]{.paper}"
+    "pictures: the value of the best action (max Q), or of the state (V(s)) if the network has a "
+    "stream for it, with a thin line at each picture.]{.paper}"
 )
 ALT = "A video of {}: the game, what the network sees, the value of every action and the score."
 

@@ -19,6 +19,7 @@ import pandas as pd
 from tqdm import tqdm
 
 from atari_dqn.envs import AtariEnv, EpisodeRecord, make_env
+from atari_dqn.games import GAMES
 from atari_dqn.params import Parameters
 from atari_dqn.runs import records, tables
 from atari_dqn.runs.files import write_atomically
@@ -36,7 +37,7 @@ class Trial:
     """One game, a row of a run's file."""
 
     condition: str
-    game: int  # of "sequence" the opening: its idle frames
+    game: int  # of "sequence" the opening: the fewest idle frames that lead to it
     score: float  # points
     length: int  # agent steps
     trained_games: int  # behind the model
@@ -63,22 +64,27 @@ def measure(run: Run) -> None:
 
 def _sequence(run: Run, trained: int) -> Iterator[Trial]:
     best = best_game(run, trained)
-    openings = [idle for idle in range(1, run.params.noop_max + 1) if idle != best.idle_frames]
-    for idle in tqdm(openings, desc=f"blind games of {run.name}", mininterval=2):
+    facts = GAMES[run.params.game]
+    shortest = {facts.opening(idle): idle for idle in range(run.params.noop_max, 0, -1)}
+    shortest.pop(facts.opening(best.idle_frames))
+    for idle in tqdm(sorted(shortest.values()), desc=f"blind games of {run.name}", mininterval=2):
         env, _ = records.begin(run.params, EpisodeRecord(idle, best.actions, None))
         play_blindly(env, best.actions)
         yield Trial(SEQUENCE, idle, env.score, env.length, trained)
 
 
 def repeated_openings(run: Run, games: int, steps: int) -> float:
-    """The share of a run's last training games that begin, idle frames and so many agent steps
-    long, exactly as another of them does. Raises RecordError if the records cannot be read."""
+    """The share of a run's last training games that begin, by their opening and so many agent
+    steps, exactly as another of them does. Raises RecordError if the records cannot be read."""
     recorded = [
         record
         for heading, record in records.read_file(run.folder, torn=True)
         if heading["kind"] == records.TRAINING
     ]
-    openings = [(record.idle_frames, record.actions[:steps]) for record in recorded[-games:]]
+    opening = GAMES[run.params.game].opening
+    openings = [
+        (opening(record.idle_frames), record.actions[:steps]) for record in recorded[-games:]
+    ]
     counts = Counter(openings)
     return sum(counts[opening] > 1 for opening in openings) / len(openings)
 
