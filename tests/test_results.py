@@ -8,6 +8,7 @@ import pytest
 from synthetic import AGENTS, check, evaluate, numbers, store, study, style, window, windows
 
 from atari_dqn import params
+from atari_dqn.analysis import summaries
 from atari_dqn.analysis.study import TITLES, Section
 from atari_dqn.envs import EpisodeRecord
 from atari_dqn.report import notebook, outputs, plots, results
@@ -290,6 +291,50 @@ def test_balls_of_breakout_are_told_by_their_speed_and_by_where_they_are_lost(tm
         assert words in axes.get_title(loc="left")
         assert axes.get_lines()[0].get_xydata().T.tolist() == [[100, 200, 300], values]
     assert "Breakout" in shown.captions["fig-breakout-late-style"]
+
+
+def test_shares_of_balls_are_of_all_balls_of_a_check_and_of_all_checks_together(tmp_path):
+    """Ten checks of two games; a game in which many balls come back counts by its balls."""
+    run = store(tmp_path, "breakout_late", DQN, np.zeros(1000))
+    style(run, np.zeros(10), greedy=2)
+    table = pd.read_csv(run.styles)
+    late = table.episode > 500
+    for name, early, played in (("returned_slow", 1, (0, 8)), ("lost_slow", 3, (1, 1))):
+        table[name] = early
+        table.loc[late, name] = np.tile(played, 5)
+    table.loc[table.episode == 1000, ["returned_slow", "lost_slow"]] = [[30, 0], [30, 0]]
+    table.to_csv(run.styles, index=False)
+    section = study(tmp_path)["breakout_late"]
+    checks = section.styles.groupby("episode").slow.mean()
+    assert checks.tolist() == [25.0] * 5 + [80.0] * 4 + [100.0]
+    row = summaries.style_changes(section).set_index("measure").loc["slow"]
+    assert row["first"] == 25
+    assert row["last"] == pytest.approx(100 * (4 * 8 + 60) / (4 * 10 + 60))
+
+
+def test_checks_without_a_measure_do_not_hide_a_change_that_is_clear(tmp_path, shown):
+    """A step after check 15 of 30; in four checks of each ten no ball is fast."""
+    run = store(tmp_path, "breakout_late", DQN, np.zeros(3000))
+    there = np.tile([1, 0, 1, 0, 1, 0, 1, 0, 1, 1], 3)
+    returned = there * np.r_[np.tile([10, 11], 8)[:15], np.tile([60, 61], 8)[:15]]
+    style(run, np.zeros(30), returned_fast=returned, lost_fast=there * 100 - returned)
+    section = study(tmp_path)["breakout_late"]
+    row = summaries.style_changes(section).set_index("measure").loc["fast"]
+    assert 45 < row.low < row.high < 55
+    assert 1400 <= row.half_way <= 1700
+    results.show_learning_style(section)
+    rows = {row["measure"]: row for row in shown.tables["tbl-breakout-late-style"]}
+    assert rows["games with a tunnel (%)"]["half-way after"] == "no clear change"
+
+
+def test_a_share_of_one_check_alone_is_no_beginning(tmp_path, shown):
+    run = store(tmp_path, "breakout_late", DQN, np.zeros(1000))
+    balls = np.r_[0, 0, 1, 0, 0, np.full(5, 9)]
+    style(run, np.zeros(10), returned_fast=balls, lost_fast=balls)
+    results.show_learning_style(study(tmp_path)["breakout_late"])
+    rows = {row["measure"]: list(row.values()) for row in shown.tables["tbl-breakout-late-style"]}
+    assert rows["fastest balls returned (%)"][2:] == ["–", "50.0", "–", "–"]
+    assert "A dash" in shown.captions["tbl-breakout-late-style"]
 
 
 def test_a_game_without_a_ball_of_some_speed_says_nothing_of_it(tmp_path):

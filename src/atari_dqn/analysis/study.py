@@ -192,9 +192,11 @@ class Section:
     def styles(self) -> pd.DataFrame:
         """How the agents play in the checks of greedy play along their training, a row per greedy
         episode: what `runs.styles` finds, agent, seed, and what follows: in Boxing what it counts
-        per minute and per punch, and percent of the time within reach; in Breakout the percent of
-        the balls of each speed that were returned, of the lost ones that were lost at the sides,
-        and 100 for a game with a tunnel."""
+        per minute and per punch, and percent of the time within reach; in Breakout 100 for a game
+        with a tunnel and, of all balls of the check that the game is of, the percent of each speed
+        that were returned, and of the lost ones that were lost at the sides; in columns of the same
+        names and `_of`, how many such balls the game itself has. (A game goes on until balls are
+        lost, so that its own percentages would be too low on average.)"""
         if self.params.game not in tables.STYLES:
             return pd.DataFrame()
         table = self._beside("styles", tables.STYLES[self.params.game])
@@ -207,16 +209,15 @@ class Section:
             punches = _some(table.punches)
             per_punch = table.scored / punches
             return table.assign(**rates, points_per_punch=per_punch, within_reach=100 * table.reach)
-        returned = {}
+        parts = {"sides": (table.lost_left + table.lost_right, table.lost_middle)}
         for speed in tables.SPEEDS:
-            caught, lost = table[f"returned_{speed}"], table[f"lost_{speed}"]
-            returned[speed] = 100 * caught / _some(caught + lost)
-        sides = table.lost_left + table.lost_right
-        return table.assign(
-            **returned,
-            sides=100 * sides / _some(sides + table.lost_middle),
-            tunnels=100 * table.tunnel,
-        )
+            parts[speed] = table[f"returned_{speed}"], table[f"lost_{speed}"]
+        table = table.assign(tunnels=100 * table.tunnel)
+        for name, (some, others) in parts.items():
+            balls = pd.DataFrame({"some": some, "all": some + others})
+            check = balls.groupby([table.agent, table.seed, table.episode]).transform("sum")
+            table[name], table[f"{name}_of"] = 100 * check.some / _some(check["all"]), balls["all"]
+        return table
 
     @cached_property
     def robustness(self) -> pd.DataFrame:

@@ -504,7 +504,7 @@ def style_changes(section: Section) -> pd.DataFrame:
     columns agent, seed, measure (of `Section.styles`), first, last, the 95% interval of the change
     (low, high; Welch's, over checks) and half_way: the training episodes after which the measure,
     smoothed over as many checks, has gone half of its way; none where the interval holds zero, or
-    where there is none."""
+    where there is none. A mean is nan of fewer than two checks that have the measure."""
     rows: list[dict[str, object]] = []
     if section.styles.empty:
         return pd.DataFrame(rows)
@@ -515,27 +515,35 @@ def style_changes(section: Section) -> pd.DataFrame:
             continue
         for measure in measures:
             series = checks[measure]
-            first, last = series.iloc[:CHECKS], series.iloc[-CHECKS:]
+            first, last = series.iloc[:CHECKS].dropna(), series.iloc[-CHECKS:].dropna()
+            ends = [_over_checks(own, measure, end.index) for end in (first, last)]
             low, high = np.nan, np.nan  # nothing to compare, such as fast balls at the beginning
-            if min(first.count(), last.count()) > 1:
-                low, high = welch_interval(last.dropna().to_numpy(), first.dropna().to_numpy())
+            if not np.isnan(ends).any():
+                low, high = welch_interval(last.to_numpy(), first.to_numpy())
             clear = low > 0 or high < 0
-            way = (series.rolling(CHECKS, center=True).mean() - first.mean()) / (
-                last.mean() - first.mean() or np.nan
-            ) >= 0.5
+            smooth = series.dropna().rolling(CHECKS, center=True).mean()
+            way = (smooth - ends[0]) / (ends[1] - ends[0] or np.nan) >= 0.5
             rows.append(
                 {
                     "agent": agent,
                     "seed": seed,
                     "measure": measure,
-                    "first": first.mean(),
-                    "last": last.mean(),
+                    "first": ends[0],
+                    "last": ends[1],
                     "low": low,
                     "high": high,
                     "half_way": int(way.idxmax()) if clear and way.any() else None,
                 }
             )
     return pd.DataFrame(rows)
+
+
+def _over_checks(games: pd.DataFrame, measure: str, checks: pd.Index) -> float:
+    """The mean of a measure over the games of some checks, or over their balls where it is a share
+    of these; nan of fewer than two checks."""
+    games = games[games.episode.isin(checks)]
+    weights = games.get(f"{measure}_of")
+    return float(np.average(games[measure], weights=weights)) if len(checks) > 1 else np.nan
 
 
 def values_reading(section: Section) -> str:

@@ -434,8 +434,8 @@ def show_learning_style(section: Section) -> None:
         label=table,
         caption=f"{section.title}: what changes in how the agents play: means of the first and of "
         f"the last {summaries.CHECKS} checks of greedy play, and after how many training games "
-        "a measure has gone half of the way between them. Intervals are over checks of one run "
-        "(Welch's t), not over seeds.",
+        "a measure has gone half of the way between them. A dash: fewer than two of these checks "
+        "have such a thing. Intervals are over checks of one run (Welch's t), not over seeds.",
         decimals=1,
     )
 
@@ -443,7 +443,9 @@ def show_learning_style(section: Section) -> None:
 def _half_way(change: Any) -> str:
     if np.isnan(change.low):
         return "–"
-    return "no clear change" if pd.isna(change.half_way) else f"{change.half_way:,.0f} games"
+    if change.low <= 0 <= change.high:
+        return "no clear change"
+    return "–" if pd.isna(change.half_way) else f"{change.half_way:,.0f} games"
 
 
 BLINDLY = "the best game's moves, blindly"
