@@ -1,5 +1,6 @@
 """Styles are what the console's memory says while recorded greedy episodes are played again."""
 
+from dataclasses import astuple
 from itertools import pairwise
 from pathlib import Path
 
@@ -211,3 +212,17 @@ def test_no_punch_that_was_measured_lands_from_beyond_reach():
 def test_every_experiment_whose_styles_are_measured_trains_the_agent():
     for name in styles.EXPERIMENTS:
         assert styles.AGENT in settings(name).agents
+
+
+@pytest.mark.parametrize("name", ["boxing_final/double_dqn", "breakout_late/dueling_double_dqn"])
+def test_stored_styles_are_what_the_code_still_finds(name):
+    """The last greedy game; what is stored is not measured again when only the code changes."""
+    folder = ROOT / "results" / "runs" / name / "seed-1"
+    path = ROOT / "results" / "styles" / name / "seed-1.csv"
+    stored = tables.read_file(path, tables.STYLES[name.split("_")[0]])
+    parameters = params.load(folder / "params.yaml")
+    of_checks = (game for game in records.read_file(folder) if game[0]["kind"] == records.VALUES)
+    heading, record = max(of_checks, key=lambda game: (game[0]["episode"], game[0]["game"]))
+    key = (heading["episode"], heading["game"], records.digest(record))
+    found = astuple(styles.MEASURED[parameters.game](parameters, *key, record))
+    assert found == pytest.approx(next(stored.iloc[[-1]].itertuples(index=False, name=None)))

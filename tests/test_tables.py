@@ -16,7 +16,7 @@ from atari_dqn import evaluation, params
 from atari_dqn.params import Parameters
 from atari_dqn.report import build, catalogue, cost, notebook
 from atari_dqn.report.explorer import StoredAgents
-from atari_dqn.runs import evaluations, plan, recorder, tables
+from atari_dqn.runs import evaluations, frames, plan, recorder, tables
 from atari_dqn.runs.files import RunError
 from atari_dqn.runs.robustness import Trial
 from atari_dqn.runs.run import Run
@@ -379,3 +379,26 @@ def test_a_run_with_a_flipped_bit_in_a_binary_file_is_damaged(run, name, place):
     data[int(place * len(data))] ^= 4
     path.write_bytes(data)
     assert tables.damage(run).startswith(f"{path} is damaged: ")
+
+
+def test_a_model_that_is_damaged_after_it_was_checked_is_found(run):
+    assert tables.damage(run) == ""
+    path = run.folder / "model.safetensors"
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 4
+    path.write_bytes(data)
+    assert tables.damage(run).startswith(f"{path} is damaged: ")
+
+
+def test_half_a_game_at_the_end_of_the_records_is_damage_in_a_complete_run_only(run):
+    path = run.folder / frames.FILE
+    frame = frames.encode(bytes(range(200)))
+    path.write_bytes(path.read_bytes() + frame[: len(frame) // 2])
+    fault = f"{path} is damaged: the last game is cut short" if run.state() == "complete" else ""
+    assert tables.damage(run) == fault
+
+
+def test_a_table_that_is_changed_by_who_has_read_it_is_whole_for_the_next(run):
+    table = tables.read(run.folder, tables.EPISODES)
+    table["score"] = -1.0
+    assert (tables.read(run.folder, tables.EPISODES).score != -1.0).any()

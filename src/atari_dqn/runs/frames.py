@@ -15,7 +15,7 @@ CHUNK = 4096  # bytes read at once
 
 
 def encode(content: bytes) -> bytes:
-    """A frame."""
+    """A frame that holds `content`."""
     return zstandard.ZstdCompressor(level=LEVEL, write_checksum=True).compress(content)
 
 
@@ -36,8 +36,8 @@ def decode(data: bytes) -> Iterator[bytes]:
 
 
 def check(folder: Path, torn: bool = False) -> None:
-    """Raises RunError if a run's folder has such a file and it is damaged; with `torn`, its end may
-    be half a frame."""
+    """Raises RunError if a run's folder has such a file and it is damaged; with `torn`, the last
+    frame may lack its end, as while a process writes it."""
     path = folder / FILE
     try:
         for _ in decode(path.read_bytes() if path.exists() else b""):

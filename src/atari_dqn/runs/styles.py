@@ -48,7 +48,7 @@ class Style:
 
 @dataclass(frozen=True)
 class Boxing(Style):
-    """And in Boxing."""
+    """What it holds in Boxing besides."""
 
     scored: float  # points of the agent alone
     conceded: float  # points of its rival
@@ -59,11 +59,11 @@ class Boxing(Style):
 
 @dataclass(frozen=True)
 class Breakout(Style):
-    """And in Breakout."""
+    """What it holds in Breakout besides."""
 
     returned_slow: int  # balls that the paddle returned, of 1 or 1.5 pixels per frame up or down,
     returned_medium: int  # of 2,
-    returned_fast: int  # and of 3 or more
+    returned_fast: int  # and of 3, the most that there is
     lost_slow: int  # balls that it missed, likewise
     lost_medium: int
     lost_fast: int
