@@ -24,10 +24,7 @@ from matplotlib.patheffects import withStroke
 from scipy import stats
 
 from atari_dqn import params
-from atari_dqn.analysis.statistics import (
-    cluster_interval,
-    trailing_mean,
-)
+from atari_dqn.analysis.statistics import cluster_interval, trailing_mean
 from atari_dqn.analysis.study import spelled
 from atari_dqn.envs import SIZE, AtariEnv
 from atari_dqn.games import GAMES, GameFacts

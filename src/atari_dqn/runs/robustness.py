@@ -66,7 +66,7 @@ def _sequence(run: Run, trained: int) -> Iterator[Trial]:
     best = best_game(run, trained)
     facts = GAMES[run.params.game]
     shortest = {facts.opening(idle): idle for idle in range(run.params.noop_max, 0, -1)}
-    shortest.pop(facts.opening(best.idle_frames))
+    shortest.pop(facts.opening(best.idle_frames), None)  # without no-op starts there is but one
     for idle in tqdm(sorted(shortest.values()), desc=f"blind games of {run.name}", mininterval=2):
         env, _ = records.begin(run.params, EpisodeRecord(idle, best.actions, None))
         play_blindly(env, best.actions)
