@@ -500,8 +500,8 @@ def show_robustness(section: Section) -> None:
         if run.robustness.exists()
     ]
     show_text(
-        f"Of the last {games} training games, so many begin with the same {steps} steps, action "
-        f"for action, as another: {', '.join(said)}."
+        f"Of the last {games} training games of {section.facts.title}, so many begin with the same "
+        f"{steps} steps, action for action, as another: {', '.join(said)}."
     )
 
 
