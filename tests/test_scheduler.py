@@ -70,7 +70,7 @@ def test_status_tells_why_a_run_does_not_go_on(tmp_path, small, monkeypatch):
     recorder.train(run)
     shutil.rmtree(run.state_folder)
     longer = [Run(small(episodes=2), tmp_path)]
-    assert states(longer) == ["interrupted (no checkpoint here: --restart)"]
+    assert states(longer) == ["interrupted (no checkpoint here: restore or --restart)"]
     assert "1 interrupted;" in plan.summary(plan.status(longer))
 
 

@@ -241,6 +241,17 @@ def replay(
 
 
 @app.command()
+def restore(run_dir: RunFolder) -> None:
+    """Make a lost checkpoint anew from a run's games, tables and model, so that `train` goes on."""
+    model_file(run_dir)  # raises before imports that take seconds
+
+    from atari_dqn.runs.restore import restore as restored
+
+    games = restored(run_dir)
+    print(f"{run_dir} goes on after game {games}: `train` and `experiments run` do")
+
+
+@app.command()
 def export(
     run_dir: RunFolder,
     path: Annotated[Path, typer.Argument(help="The .npz file to write.")],

@@ -10,10 +10,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from tqdm import tqdm
 
 from atari_dqn.envs import SIZE, EpisodeRecord, learned_reward
 from atari_dqn.params import ParameterError, Parameters
-from atari_dqn.replay import PIXELS, ReplayMemory
+from atari_dqn.replay import ReplayMemory
 from atari_dqn.runs import records
 from atari_dqn.runs.audit import stored_parameters
 from atari_dqn.runs.files import write_atomically
@@ -64,37 +65,51 @@ def trajectories(folder: Path, first: int, last: int) -> Iterator[tuple[int, Tra
         yield episode, trajectory(params, record)
 
 
-def rebuilt_memory(folder: Path, games: int, capacity: int, seed: int = 0) -> ReplayMemory:
+def rebuilt_memory(
+    folder: Path,
+    games: int,
+    capacity: int,
+    seed: np.random.SeedSequence | None = None,
+    streams: int = 1,
+) -> ReplayMemory:
     """A replay memory with the newest transitions of a stored run's first `games` training games.
 
     The transitions are those that the run had in its memory then, but for the games that were
-    still being played; they lie in one stream, game after game.
+    still being played. They lie in one stream, game after game, or in several side by side, each
+    of which takes the next game when its own has ended; all are cut where the first has no more.
+    Raises RecordError as `records.begin` does.
     """
     params = stored_parameters(folder)
-    sequence = np.random.SeedSequence(seed)
+    sequence = np.random.SeedSequence(0) if seed is None else seed
     given = (params.frame_stack, params.gamma, sequence, params.n_steps)
-    memory = ReplayMemory(capacity, 1, *given)
-    newest = records.read_file(folder, torn=True)
-    lengths = [
-        len(record.actions) + 1
-        for heading, record in newest
+    memory = ReplayMemory(capacity, streams, *given)
+    played = [
+        record
+        for heading, record in records.read_file(folder, torn=True)
         if heading["kind"] == records.TRAINING and heading["episode"] <= games
     ]
-    kept = 1 + int(np.searchsorted(np.cumsum(lengths[::-1]), capacity))
-    for _, game in trajectories(folder, max(1, games - kept + 1), games):
-        images = game.observations.reshape(-1, 1, PIXELS)
-        none = np.zeros(1)
-        memory.append(images[0], none, none, none, none)
-        for step, image in enumerate(images[1:]):
-            reward = learned_reward(params, float(game.rewards[step]), bool(game.life_lost[step]))
-            memory.append(
-                image,
-                np.array([step + 1]),
-                game.actions[step : step + 1],
-                np.array([reward]),
-                game.terminations[step : step + 1],
-            )
+    slots = np.cumsum([len(record.actions) + 1 for record in reversed(played)])
+    kept = int(np.searchsorted(slots, capacity)) + streams
+    newest = iter(played[-kept:])
+    rows = zip(*(_slots(params, newest) for _ in range(streams)), strict=False)
+    total = int(slots[min(kept, len(played)) - 1]) // streams if played else 0
+    for row in tqdm(rows, "playing again", total, leave=False, unit=" steps", disable=None):
+        memory.append(*map(np.array, zip(*row, strict=True)))
     return memory
+
+
+def _slots(
+    params: Parameters, games: Iterator[EpisodeRecord]
+) -> Iterator[tuple[np.ndarray, int, int, float, bool]]:
+    """What a stream of a replay memory holds of some games, played again: image uint8 [84*84],
+    age, action, reward, and whether the game is over."""
+    for record in games:
+        env, image = records.begin(params, record)
+        yield image.reshape(-1), 0, 0, 0.0, False
+        for age, action in enumerate(record.actions, 1):
+            image, raw, terminated, _, info = env.step(action)
+            reward = learned_reward(params, raw, info["life_lost"])
+            yield image.reshape(-1), age, action, reward, terminated
 
 
 def export(folder: Path, first: int, last: int, path: Path) -> int:

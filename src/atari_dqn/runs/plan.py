@@ -207,7 +207,7 @@ def _said(run: Run) -> str:
     if source is not None:
         return f"{WAITING} for {source.params.experiment}"
     if state in (INTERRUPTED, FAILED) and not checkpoints.exist(run.state_folder):
-        return f"{state} (no checkpoint here: --restart)"
+        return f"{state} (no checkpoint here: restore or --restart)"
     if state == FAILED:
         return params.printable(f"{state} ({run.status().get('error', 'no reason stored')})")
     return state

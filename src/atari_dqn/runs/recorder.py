@@ -183,7 +183,7 @@ class Recorder:
         self.clock, self.cpu_clock = time.monotonic(), time.process_time()
         self.saved_at = self.shown_at = self.seconds
         self.shown_steps = self.trainer.agent_steps
-        self.sessions.append(_session(self.episodes + 1, self.trainer.learner))
+        self.sessions.append(session(self.episodes + 1, self.trainer.learner))
         if initial is not None and (source := run.source()):
             model = (source.folder / "model.safetensors").read_bytes()
             self.sessions[-1]["initial_weights"] = hashlib.sha256(model).hexdigest()
@@ -209,7 +209,8 @@ class Recorder:
         if games > 0:
             raise RunError(
                 f"{self.run.folder} holds {games} games, but their checkpoint is not in "
-                f"{self.run.state_folder}; {RESTART}"
+                f"{self.run.state_folder}; `python -m atari_dqn restore {self.run.folder}` makes "
+                f"it anew, {RESTART}"
             )
 
     def _compare_sessions(self) -> None:
@@ -395,7 +396,7 @@ class Recorder:
         self.sessions[-1]["peak_memory_megabytes"] = round(peak_memory() / 1e6, 1)
 
 
-def _session(first_episode: int, learner: Learner | NativeLearner) -> dict[str, Any]:
+def session(first_episode: int, learner: Learner | NativeLearner) -> dict[str, Any]:
     """What this stretch of training runs on."""
     return {
         "first_episode": first_episode,
