@@ -23,9 +23,8 @@ from atari_dqn import evaluation
 from atari_dqn.agents import AGENTS
 from atari_dqn.envs import EpisodeRecord, make_env
 from atari_dqn.native import new_learner
-from atari_dqn.params import Parameters
+from atari_dqn.params import Parameters, stored_parameters
 from atari_dqn.runs import dataset, records
-from atari_dqn.runs.audit import stored_parameters
 from atari_dqn.runs.files import project_root
 from atari_dqn.runs.recorder import processor
 from atari_dqn.training import prepare_process

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from conftest import SMALL
 
-from atari_dqn import __main__
+from atari_dqn import __main__, native
 from atari_dqn.params import ParameterError, Parameters
 from atari_dqn.runs import audit, checkpoints, recorder, records
 from atari_dqn.runs.files import RunError
@@ -24,10 +24,17 @@ def run_of(folder, **changes):
     return Run(Parameters(**{**SMALL, "episodes": GAMES, "snapshot_games": [2], **changes}), folder)
 
 
+def no_library(*_):
+    raise native.Unavailable("there is none")
+
+
 @pytest.fixture(params=["native", "torch"])
-def lost(request, tmp_path):
-    """A run that has lost its checkpoint, and that checkpoint's contents."""
-    run = run_of(tmp_path, learner=request.param)
+def lost(request, tmp_path, monkeypatch):
+    """A run that has lost its checkpoint, and that checkpoint's contents, with each learner."""
+    if request.param == "torch":
+        monkeypatch.setattr(native, "load", no_library)
+        monkeypatch.setattr(native, "_say_once", lambda line: None)
+    run = run_of(tmp_path)
     recorder.train(run)
     saved = checkpoints.load(run.state_folder)
     shutil.rmtree(run.state_folder)
@@ -124,6 +131,7 @@ def test_a_restored_run_goes_on_to_its_end_and_says_where(lost):
     assert first == sessions
     assert (made["restored"], made["first_episode"]) == (True, GAMES + 1)
     assert "restored" not in on
+    assert on["learner"] == sessions[0]["learner"]
     assert (run.folder / "snapshots" / "games-00002.safetensors").exists()
 
 

@@ -17,7 +17,7 @@ from conftest import SMALL
 from safetensors.torch import load_file
 
 from atari_dqn import evaluation, params
-from atari_dqn.runs import checkpoints, recorder
+from atari_dqn.runs import checkpoints, evaluations, recorder
 from atari_dqn.runs.files import RunError
 from atari_dqn.runs.models import load_model
 from atari_dqn.runs.run import Run
@@ -482,6 +482,18 @@ def test_a_gpu_that_is_not_there_is_refused_in_one_line(tmp_path, small, monkeyp
     monkeypatch.setattr("torch.cuda.is_available", lambda: False)
     with pytest.raises(params.ParameterError, match="device: 'cuda' is not allowed"):
         recorder.train(Run(small(device="cuda"), tmp_path))
+
+
+def test_a_run_that_a_gpu_trained_plays_where_there_is_none(finished, tmp_path, monkeypatch):
+    folder, *_ = finished
+    copy = shutil.copytree(folder, tmp_path / "seed-3")
+    path = copy / "params.yaml"
+    text = path.read_text().replace('device: "auto"', 'device: "cuda"')
+    path.write_text(text.replace("emulator_processes: 1", "emulator_processes: 2"))
+    assert path.read_text().count("cuda") == 1
+    monkeypatch.setattr("torch.cuda.is_available", lambda: False)
+    assert len(evaluations.evaluate(copy, {"difficulty": 2}, 2)) == 2
+    assert params.stored_parameters(copy).emulator_processes == 1
 
 
 def test_a_transfer_run_starts_from_the_finished_model_it_names(tmp_path, small):

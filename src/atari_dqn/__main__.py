@@ -153,7 +153,7 @@ def evaluate(
     given = _conditions(run_dir, difficulty, sticky, epsilon)
     print(f"playing with {model_file(run_dir)}", file=sys.stderr)
 
-    from atari_dqn.runs import audit, evaluations
+    from atari_dqn.runs import evaluations
 
     played = evaluations.evaluate(run_dir, given, games)
     if video is not None:
@@ -161,7 +161,7 @@ def evaluate(
 
         videos.write_game(run_dir, given, video)
     said = [f"{len(played)} game{'s' * (len(played) > 1)}: mean score {played.score.mean():.1f}"]
-    facts = GAMES[audit.stored_parameters(run_dir).game]
+    facts = GAMES[params.stored_parameters(run_dir).game]
     if isfinite(facts.wins_at):
         said.append(f"{played.won.sum()} won")
     if facts.knockout_cells is not None:
@@ -180,8 +180,8 @@ def _conditions(
         "evaluation_epsilon": epsilon,
     }
     given = {key: value for key, value in chosen.items() if value is not None}
-    path = model_file(run_dir).with_name(params.STORED)
-    params.parse({**params.read_values(path), **given}, str(path))
+    model_file(run_dir)
+    params.stored_parameters(run_dir, given)
     return given
 
 
@@ -226,7 +226,7 @@ def replay(
 
     from atari_dqn.runs import audit, records
 
-    parameters = audit.stored_parameters(run_dir)
+    parameters = params.stored_parameters(run_dir)
     record = audit.find(run_dir, episode)
     facts = audit.outcome(parameters, record)
     print(

@@ -265,7 +265,8 @@ class Parameters(BaseModel):
 
 
 NOT_VARIANT = {"experiment", "profile", "agents", "seeds", "episodes", "variations"}
-NOT_VARIANT |= {"device", "learner", "emulator_processes"}
+MACHINE = {"device", "learner", "emulator_processes"}  # what computes a run is no part of it
+NOT_VARIANT |= MACHINE
 NOT_TRAINING = NOT_VARIANT | {"snapshot_games", "evaluation_games", "evaluation_epsilon"}
 EVALUATED_BESIDES = {"evaluation_difficulties", "evaluation_stickiness"}
 NOT_TRAINING |= EVALUATED_BESIDES
@@ -331,6 +332,15 @@ def parse(values: dict[str, Any], source: str) -> Parameters:
     except ValidationError as error:
         files = values.files if isinstance(values, Values) else {}
         raise ParameterError(f"{source}: {_one_line(error, files)}") from None
+
+
+def stored_parameters(folder: Path, overrides: dict[str, Any] | None = None) -> Parameters:
+    """The parameters of a stored run, with `overrides` on top; but what computes is for the machine
+    to say that reads them, not for the one that trained the run. Raises ParameterError."""
+    path = folder / STORED
+    given = parse({**read_values(path), **(overrides or {})}, str(path))
+    fields = Parameters.model_fields
+    return given.model_copy(update={key: fields[key].default for key in MACHINE})
 
 
 def read_values(path: Path) -> Values:

@@ -38,7 +38,7 @@ from atari_dqn.report.playthrough import (
     png,
 )
 from atari_dqn.report.video import Critic, words
-from atari_dqn.runs import audit, models, plan, records
+from atari_dqn.runs import models, plan, records
 from atari_dqn.runs.files import RunError, results_folder
 from atari_dqn.runs.records import EVALUATION, TRAINING, VALUES, RecordError
 
@@ -94,7 +94,7 @@ class StoredAgents:
     def critic(self, key: Key, games: int) -> Critic:
         """An agent as it was after so many training games."""
         folder = self.folders[key]
-        parameters = audit.stored_parameters(folder)
+        parameters = params.stored_parameters(folder)
         return Critic(models.load_model(models.in_folder(folder)[games], parameters), parameters)
 
 
@@ -231,7 +231,7 @@ class Explorer:
             _fill(choice, list(zip(titles, found, strict=True)))
         self.key_chosen: Key = tuple(each.value for each in self.run)
         folder = self.agents.folders[self.key_chosen]
-        self.params = audit.stored_parameters(folder)
+        self.params = params.stored_parameters(folder)
         trained = sorted(models.in_folder(folder), reverse=True)
         _fill(self.checkpoint, [(f"{games:,} games", games) for games in trained])
         there = (folder / records.FILE).exists()
@@ -258,7 +258,7 @@ class Explorer:
         _fill(self.other, list(zip(names, others, strict=True)))
 
     def _plays_the_same(self, key: Key) -> bool:
-        other, ours = audit.stored_parameters(self.agents.folders[key]), self.games[0].params
+        other, ours = params.stored_parameters(self.agents.folders[key]), self.games[0].params
         same = ("game", "frame_skip", "frame_stack")
         return all(getattr(other, name) == getattr(ours, name) for name in same)
 

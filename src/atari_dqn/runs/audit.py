@@ -11,7 +11,7 @@ import numpy as np
 
 from atari_dqn import params
 from atari_dqn.envs import EpisodeRecord, learned_reward
-from atari_dqn.params import Parameters
+from atari_dqn.params import Parameters, stored_parameters
 from atari_dqn.runs import records, tables
 from atari_dqn.runs.files import RunError, evaluations_lock
 from atari_dqn.runs.records import EVALUATION, KEYS, TRAINING, VALUES, Game, Heading, RecordError
@@ -74,12 +74,6 @@ def verify(folder: Path, games: int | None) -> Iterator[str]:
         name = f"the {len(behind)} greedy games after game {row['episode']:g}"
         _compare(stored, name, VALUES, facts, row)
         yield name
-
-
-def stored_parameters(folder: Path) -> Parameters:
-    """The parameters of a stored run."""
-    path = folder / params.STORED
-    return params.parse(params.read_values(path), str(path))
 
 
 def outcome(parameters: Parameters, record: EpisodeRecord) -> Facts:

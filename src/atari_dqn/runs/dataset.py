@@ -13,10 +13,9 @@ import numpy as np
 from tqdm import tqdm
 
 from atari_dqn.envs import SIZE, EpisodeRecord, learned_reward
-from atari_dqn.params import ParameterError, Parameters
+from atari_dqn.params import ParameterError, Parameters, stored_parameters
 from atari_dqn.replay import ReplayMemory
 from atari_dqn.runs import records
-from atari_dqn.runs.audit import stored_parameters
 from atari_dqn.runs.files import write_atomically
 
 

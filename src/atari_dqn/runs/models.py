@@ -6,10 +6,9 @@ from typing import Any
 import torch
 from torch import nn
 
-from atari_dqn import params
 from atari_dqn.agents import AGENTS, torch_device
 from atari_dqn.envs import make_env
-from atari_dqn.params import Parameters
+from atari_dqn.params import Parameters, stored_parameters
 from atari_dqn.runs import weights
 from atari_dqn.runs.files import RunError, model_file
 from atari_dqn.runs.run import COMPLETE, Run
@@ -72,8 +71,7 @@ def stored_agent(folder: Path, overrides: dict[str, Any]) -> tuple[nn.Module, Pa
     """A stored run's newest model, and its parameters with `overrides` on top. Raises RunError or
     ParameterError on bad input."""
     path = model_file(folder)
-    values = params.read_values(folder / "params.yaml")
-    parameters = params.parse({**values, **overrides}, str(folder / "params.yaml"))
+    parameters = stored_parameters(folder, overrides)
     try:
         return load_model(path, parameters), parameters
     except RunError:

@@ -116,7 +116,7 @@ def _besides(
         if elsewhere or (names and experiment not in names):
             continue
         try:
-            stored = params.parse(params.read_values(path), str(path))
+            stored = params.stored_parameters(path.parent)
             run = Run(stored, folder, _changes(stored, profile) if change else "")
         except ParameterError as error:
             damaged.append(str(error))

@@ -20,9 +20,8 @@ import pandas as pd
 import torch
 from tqdm import tqdm
 
-from atari_dqn.params import ParameterError
+from atari_dqn.params import ParameterError, stored_parameters
 from atari_dqn.runs import checkpoints, records, tables
-from atari_dqn.runs.audit import stored_parameters
 from atari_dqn.runs.dataset import rebuilt_memory
 from atari_dqn.runs.files import RunError, model_file
 from atari_dqn.runs.models import read_model, trained_games

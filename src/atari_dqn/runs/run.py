@@ -32,7 +32,7 @@ from typing import TYPE_CHECKING, Any
 from filelock import FileLock, Timeout
 
 from atari_dqn import params
-from atari_dqn.params import TRAINING_VERSION, ParameterError, Parameters, shown
+from atari_dqn.params import TRAINING_VERSION, ParameterError, Parameters, shown, stored_parameters
 from atari_dqn.runs import checkpoints
 from atari_dqn.runs.files import RunError
 
@@ -130,7 +130,7 @@ class Run:
             update={"experiment": self.params.initial_weights, "initial_weights": ""}
         )
         path = Run(like, self.results).folder / "params.yaml"
-        stored = params.parse(params.read_values(path), str(path)) if path.exists() else like
+        stored = stored_parameters(path.parent) if path.exists() else like
         return Run(stored, self.results)
 
     def waits_for(self) -> "Run | None":

@@ -295,9 +295,8 @@ def _check_evaluations(folder: Path, evaluations: "pd.DataFrame", games: int) ->
     """Raises RunError unless all games that end a run are in the table, if there is one."""
     if not (folder / EVALUATIONS).exists():
         return
-    path = folder / params.STORED
     keys = _settings(evaluations)
-    for setting in params.conditions(params.parse(params.read_values(path), str(path))):
+    for setting in params.conditions(params.stored_parameters(folder)):
         stickiness, epsilon = setting.sticky_actions, setting.evaluation_epsilon
         key = (games, setting.difficulty, stickiness, epsilon, setting.seeds[0])
         if keys.count(key) < setting.evaluation_games:
