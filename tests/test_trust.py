@@ -9,6 +9,7 @@ import pytest
 from synthetic import store
 
 from atari_dqn.analysis import study
+from atari_dqn.runs import audit, plan
 from atari_dqn.runs.files import RunError
 
 ROOT = Path(__file__).parents[1]
@@ -120,3 +121,12 @@ def test_what_a_run_says_of_itself_is_text_in_a_table(tmp_path):
     assert row.commits == "`??b?`"
     plain = store(tmp_path, "boxing_final", "double_dqn", [1.0])
     assert study.run_table([plain]).iloc[0]["trained on"] == "a processor"
+
+
+def test_no_run_of_the_repository_is_damaged_and_games_of_a_sample_play_again_as_stored():
+    results = ROOT / "results"
+    assert plan.damaged("full", [], results) == []
+    sample = plan.stored("full", [], results)[::4]
+    assert sample
+    for run in sample:
+        assert len(list(audit.verify(run.folder, 2))) == 2
