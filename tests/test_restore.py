@@ -9,6 +9,7 @@ import pytest
 from conftest import SMALL
 
 from atari_dqn import __main__, native
+from atari_dqn.analysis.study import run_table
 from atari_dqn.params import ParameterError, Parameters
 from atari_dqn.runs import audit, checkpoints, recorder, records
 from atari_dqn.runs.files import RunError
@@ -131,6 +132,7 @@ def test_a_restored_run_goes_on_to_its_end_and_says_where(lost):
     assert first == sessions
     assert (made["restored"], made["first_episode"]) == (True, GAMES + 1)
     assert "restored" not in on
+    assert f"; restored after game {GAMES}" in run_table([run])["trained on"][0]
     assert on["learner"] == sessions[0]["learner"]
     assert (run.folder / "snapshots" / "games-00002.safetensors").exists()
 

@@ -362,12 +362,17 @@ def on_gpu(run: Run) -> bool:
 
 
 def _machines(sessions: list[dict[str, Any]]) -> str:
-    """What trained a run, one after the other."""
+    """What trained a run, one after the other, and where its checkpoint was made anew."""
     names = [
         ("" if session["device"] == "cpu" else "GPU beside ") + _as_text(session["processor"])
         for session in sessions
     ]
-    return ", then ".join(dict.fromkeys(names))
+    restored = [
+        f"; restored after game {session['first_episode'] - 1:,}"
+        for session in sessions
+        if session.get("restored")
+    ]
+    return ", then ".join(dict.fromkeys(names)) + "".join(restored)
 
 
 def _last(run: Run, file: str, column: str) -> float:

@@ -386,7 +386,7 @@ class Recorder:
             "updates": self.trainer.learner.updates,
             "wall_clock_seconds": round(self.now(), 1),
             "cpu_seconds": round(self.cpu_now(), 1),
-            "resumes": len(self.sessions) - 1,
+            "resumes": sum("restored" not in each for each in self.sessions) - 1,
             "sessions": self.sessions,
         }
         text = json.dumps(provenance, indent=1) + "\n"
