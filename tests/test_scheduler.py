@@ -237,7 +237,9 @@ def test_ctrl_c_leaves_all_runs_resumable_and_the_same_command_ends_them(project
     assert states(wanted) == ["complete", "complete"]
 
 
-def test_two_runners_do_not_train_the_same_run_twice(project, small):
+def test_two_runners_do_not_train_the_same_run_twice_and_that_of_a_killed_one_is_saved(
+    project, small
+):
     ask_for(project, small(profile="full", agents=["dqn"], episodes=1000))  # no end soon
     (run,) = planned(project)
     first = runner(project)
@@ -247,9 +249,12 @@ def test_two_runners_do_not_train_the_same_run_twice(project, small):
     assert second.returncode == 1
     assert "is being trained by another process" in errors
     assert run.state() == "running"
-    first.send_signal(signal.SIGINT)
+    games = saved_games([run])
+    first.kill()
     first.communicate(timeout=PATIENCE)
-    assert run.state() == "interrupted"
+    wait_until(lambda: lockable(run))
+    assert run.status()["state"] == "interrupted", "it says so itself"
+    assert saved_games([run]) > games
     assert json.loads((run.folder / "provenance.json").read_text())["resumes"] == 0
 
 

@@ -14,6 +14,7 @@ from typing import Any
 from atari_dqn.params import ParameterError
 from atari_dqn.runs.files import RunError
 from atari_dqn.runs.plan import DAMAGED
+from atari_dqn.runs.processes import end_with_parent
 from atari_dqn.runs.run import COMPLETE, MISSING, RESTART, STALE, Run
 
 KNOWN = (RunError, ParameterError)  # whose messages say what to do
@@ -152,6 +153,7 @@ def _train(run: Run, place: int, sender: Connection) -> None:
     """
     from atari_dqn.runs import recorder  # here: who only starts the workers needs no PyTorch
 
+    end_with_parent(saving=True)
     try:
         recorder.train(run, place)
     except KeyboardInterrupt:
