@@ -57,7 +57,7 @@ def watch(folder: Path, updates: int) -> Iterator[dict[str, Any]]:
     """Trains on the run's newest transitions; yields a row per greedy game."""
     params = stored_parameters(folder)
     last = pd.read_csv(folder / "episodes.csv").episode.max()
-    memory = dataset.rebuilt_memory(folder, int(last), TRANSITIONS, np.random.SeedSequence(SEED))
+    memory = dataset.rebuilt_memory(folder, int(last), TRANSITIONS, SEED)
     actions = len(make_env(params).actions)
     learner = new_learner(AGENTS[params.agents[0]], actions, params, seed=SEED)
     for update in range(updates + 1):

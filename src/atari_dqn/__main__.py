@@ -242,13 +242,12 @@ def replay(
 
 @app.command()
 def restore(run_dir: RunFolder) -> None:
-    """Make a lost checkpoint anew from a run's games, tables and model, so that `train` goes on."""
+    """Make a lost checkpoint anew from a run's games, tables and model, to train on from."""
     model_file(run_dir)  # raises before imports that take seconds
 
     from atari_dqn.runs.restore import restore as restored
 
-    games = restored(run_dir)
-    print(f"{run_dir} goes on after game {games}: `train` and `experiments run` do")
+    print(f"{run_dir} has a checkpoint of game {restored(run_dir)}; `train` goes on from there")
 
 
 @app.command()

@@ -335,8 +335,11 @@ def parse(values: dict[str, Any], source: str) -> Parameters:
 
 
 def stored_parameters(folder: Path, overrides: dict[str, Any] | None = None) -> Parameters:
-    """The parameters of a stored run, with `overrides` on top; but what computes is for the machine
-    to say that reads them, not for the one that trained the run. Raises ParameterError."""
+    """The parameters of a stored run, with `overrides` on top.
+
+    Those of MACHINE are the defaults: another machine may have trained the run. Raises
+    ParameterError.
+    """
     path = folder / STORED
     given = parse({**read_values(path), **(overrides or {})}, str(path))
     fields = Parameters.model_fields

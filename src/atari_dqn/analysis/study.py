@@ -368,9 +368,9 @@ def _machines(sessions: list[dict[str, Any]]) -> str:
         for session in sessions
     ]
     restored = [
-        f"; restored after game {session['first_episode'] - 1:,}"
+        f"; restored after game {session['restored_after']:,}"
         for session in sessions
-        if session.get("restored")
+        if "restored_after" in session
     ]
     return ", then ".join(dict.fromkeys(names)) + "".join(restored)
 

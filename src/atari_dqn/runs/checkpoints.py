@@ -84,7 +84,10 @@ def load(folder: Path) -> dict[str, Any] | None:
                 "from the one before"
             ) from error
     if any(folder.glob("damaged-*")):
-        raise CheckpointError(f"every checkpoint in {folder} is damaged; delete it to start again")
+        raise CheckpointError(
+            f"every checkpoint in {folder} is damaged; `restore` makes one of what is stored, or "
+            "delete the folder to start again"
+        )
     return None
 
 

@@ -6,6 +6,7 @@ bear the names that Minari and Gymnasium use.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from tqdm import tqdm
 
 from atari_dqn.envs import SIZE, EpisodeRecord, learned_reward
 from atari_dqn.params import ParameterError, Parameters, stored_parameters
-from atari_dqn.replay import ReplayMemory
+from atari_dqn.replay import PIXELS, ReplayMemory
 from atari_dqn.runs import records
 from atari_dqn.runs.files import write_atomically
 
@@ -64,37 +65,39 @@ def trajectories(folder: Path, first: int, last: int) -> Iterator[tuple[int, Tra
         yield episode, trajectory(params, record)
 
 
-def rebuilt_memory(
-    folder: Path,
-    games: int,
-    capacity: int,
-    seed: np.random.SeedSequence | None = None,
-    streams: int = 1,
-) -> ReplayMemory:
+def rebuilt_memory(folder: Path, games: int, capacity: int, seed: int = 0) -> ReplayMemory:
     """A replay memory with the newest transitions of a stored run's first `games` training games.
 
     The transitions are those that the run had in its memory then, but for the games that were
-    still being played. They lie in one stream, game after game, or in several side by side, each
-    of which takes the next game when its own has ended; all are cut where the first has no more.
+    still being played; they lie in one stream, game after game.
+    """
+    params = stored_parameters(folder)
+    sequence = np.random.SeedSequence(seed)
+    memory = ReplayMemory(capacity, 1, params.frame_stack, params.gamma, sequence, params.n_steps)
+    fill(memory, folder, games)
+    return memory
+
+
+def fill(memory: ReplayMemory, folder: Path, games: int) -> None:
+    """Adds to `memory` the newest of a stored run's first `games` training games, played again: as
+    many as fit. Its streams each take the next game when their own has ended.
+
     Raises RecordError as `records.begin` does.
     """
     params = stored_parameters(folder)
-    sequence = np.random.SeedSequence(0) if seed is None else seed
-    given = (params.frame_stack, params.gamma, sequence, params.n_steps)
-    memory = ReplayMemory(capacity, streams, *given)
     played = [
         record
         for heading, record in records.read_file(folder, torn=True)
         if heading["kind"] == records.TRAINING and heading["episode"] <= games
     ]
     slots = np.cumsum([len(record.actions) + 1 for record in reversed(played)])
-    kept = int(np.searchsorted(slots, capacity)) + streams
+    kept = int(np.searchsorted(slots, memory.rows * memory.streams)) + memory.streams
     newest = iter(played[-kept:])
-    rows = zip(*(_slots(params, newest) for _ in range(streams)), strict=False)
-    total = int(slots[min(kept, len(played)) - 1]) // streams if played else 0
-    for row in tqdm(rows, "playing again", total, leave=False, unit=" steps", disable=None):
+    streams = [_slots(params, newest) for _ in range(memory.streams)]
+    blank = (np.zeros(PIXELS, np.uint8), 0, 0, 0.0, False)  # of age 0: no transition
+    rows = zip_longest(*streams, fillvalue=blank)
+    for row in tqdm(rows, "playing again", leave=False, unit=" steps", disable=None):
         memory.append(*map(np.array, zip(*row, strict=True)))
-    return memory
 
 
 def _slots(

@@ -183,7 +183,7 @@ class Recorder:
         self.clock, self.cpu_clock = time.monotonic(), time.process_time()
         self.saved_at = self.shown_at = self.seconds
         self.shown_steps = self.trainer.agent_steps
-        self.sessions.append(session(self.episodes + 1, self.trainer.learner))
+        self.sessions.append(_session(self.episodes + 1, self.trainer.learner))
         if initial is not None and (source := run.source()):
             model = (source.folder / "model.safetensors").read_bytes()
             self.sessions[-1]["initial_weights"] = hashlib.sha256(model).hexdigest()
@@ -386,7 +386,7 @@ class Recorder:
             "updates": self.trainer.learner.updates,
             "wall_clock_seconds": round(self.now(), 1),
             "cpu_seconds": round(self.cpu_now(), 1),
-            "resumes": sum("restored" not in each for each in self.sessions) - 1,
+            "resumes": len(self.sessions) - 1,
             "sessions": self.sessions,
         }
         text = json.dumps(provenance, indent=1) + "\n"
@@ -396,7 +396,7 @@ class Recorder:
         self.sessions[-1]["peak_memory_megabytes"] = round(peak_memory() / 1e6, 1)
 
 
-def session(first_episode: int, learner: Learner | NativeLearner) -> dict[str, Any]:
+def _session(first_episode: int, learner: Learner | NativeLearner) -> dict[str, Any]:
     """What this stretch of training runs on."""
     return {
         "first_episode": first_episode,

@@ -12,6 +12,7 @@ anew:
 So the run goes on as it might have gone, not bit for bit as it would have; its provenance says so.
 """
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -21,11 +22,10 @@ import torch
 from tqdm import tqdm
 
 from atari_dqn.params import ParameterError, stored_parameters
-from atari_dqn.runs import checkpoints, records, tables
-from atari_dqn.runs.dataset import rebuilt_memory
+from atari_dqn.runs import checkpoints, dataset, records, tables
 from atari_dqn.runs.files import RunError, model_file
 from atari_dqn.runs.models import read_model, trained_games
-from atari_dqn.runs.recorder import LOGS, session
+from atari_dqn.runs.recorder import LOGS
 from atari_dqn.runs.run import STALE, Run
 from atari_dqn.training import Trainer, prepare_process
 
@@ -43,51 +43,54 @@ def restore(folder: Path) -> int:
     """
     prepare_process()
     path = model_file(folder)
-    run = Run(stored_parameters(folder), folder.resolve().parents[3])
-    if run.folder != folder.resolve():
-        raise ParameterError(f"{folder}: {run.name} is trained in {run.folder}")
+    place = Path(os.path.abspath(folder))  # links are not followed: the state is found by the name
+    run = Run(stored_parameters(folder), Path(*place.parts[:-4]))
+    if run.folder != place:
+        raise ParameterError(f"{folder}: {run.name} is not trained here but in runs/{run.name}")
     with run.lock():
         if run.state() == STALE:
             raise RunError(f"{run.name} cannot go on: {'; '.join(run.changes())}")
         if checkpoints.exist(run.state_folder):
             raise RunError(f"{run.name} has a checkpoint in {run.state_folder}: train goes on")
-        games = trained_games(path)
-        if said := tables.damage(run):
-            raise RunError(said)
-        played = tables.read(folder, tables.EPISODES)[:games]
-        on_record = [game for game in records.read_file(folder) if _within(game, games)]
-        recorded = sum(heading["kind"] == records.TRAINING for heading, _ in on_record)
-        if not games == len(played) == recorded > 0:
-            raise RunError(
-                f"{path} is of {games} games; {tables.EPISODES} has {len(played)} of them and "
-                f"{records.FILE} {recorded}"
-            )
-        trainer = _trainer(run, played, path)
-        timing = tables.read(folder, tables.TIMING).iloc[games - 1]
-        checkpoints.save(
-            run.state_folder,
-            {
-                "trainer": trainer.get_state(),
-                "episodes": games,
-                "seconds": float(timing.seconds),
-                "cpu_seconds": float(timing.cpu_seconds),
-                "sessions": [
-                    *run.provenance()["sessions"],
-                    {**session(games + 1, trainer.learner), "restored": True},
-                ],
-                "scores": played.score.tail(100).astype(float).tolist(),
-                "written": {
-                    **{name: _cut(folder, name, games) for name in LOGS},
-                    records.FILE: records.with_evaluations(on_record, []),
-                },
-                "snapshots": {
-                    each.name: each.read_bytes()
-                    for each in sorted(folder.glob("snapshots/*.safetensors"))
-                    if trained_games(each) <= games
-                },
-            },
+        checkpoints.save(run.state_folder, _state(run, path))
+    return trained_games(path)
+
+
+def _state(run: Run, model: Path) -> dict[str, Any]:
+    """What `Recorder.save` saves. Raises RunError if something is missing or damaged."""
+    if said := tables.damage(run):
+        raise RunError(said)
+    for name in LOGS:
+        if not (run.folder / name).exists():
+            raise RunError(f"{run.folder / name} is missing")
+    games = trained_games(model)  # the tables of a run that was killed go on from there
+    played = tables.read(run.folder, tables.EPISODES)[:games]
+    timing = tables.read(run.folder, tables.TIMING)[:games]
+    on_record = [game for game in records.read_file(run.folder, torn=True) if _within(game, games)]
+    recorded = sum(heading["kind"] == records.TRAINING for heading, _ in on_record)
+    if not 0 < games == len(played) == len(timing) == recorded:
+        raise RunError(
+            f"{model} is of {games} games; {tables.EPISODES} has {len(played)} of them, "
+            f"{tables.TIMING} {len(timing)} and {records.FILE} {recorded}"
         )
-    return games
+    *earlier, newest = run.provenance()["sessions"]
+    return {
+        "trainer": _trainer(run, played, read_model(model)).get_state(),
+        "episodes": games,
+        "seconds": float(timing.seconds.iloc[-1]),
+        "cpu_seconds": float(timing.cpu_seconds.iloc[-1]),
+        "sessions": [*earlier, {**newest, "restored_after": games}],
+        "scores": played.score.tail(100).astype(float).tolist(),
+        "written": {
+            **{name: _cut(run.folder, name, games) for name in LOGS},
+            records.FILE: records.with_evaluations(on_record, []),
+        },
+        "snapshots": {
+            each.name: each.read_bytes()
+            for each in sorted(run.folder.glob("snapshots/*.safetensors"))
+            if trained_games(each) <= games
+        },
+    }
 
 
 def _within(game: records.Game, games: int) -> bool:
@@ -98,30 +101,25 @@ def _within(game: records.Game, games: int) -> bool:
 
 def _cut(folder: Path, name: str, games: int) -> bytes:
     """A table's header, and its rows up to that of so many games."""
-    rows = int((tables.read(folder, name).episode <= games).sum())
+    rows = sum(tables.read(folder, name)["episode"] <= games)
     return b"".join((folder / name).read_bytes().splitlines(keepends=True)[: 1 + rows])
 
 
-def _trainer(run: Run, played: pd.DataFrame, model: Path) -> Trainer:
+def _trainer(run: Run, played: pd.DataFrame, weights: dict[str, torch.Tensor]) -> Trainer:
     """As it was after the games in `played`, as far as can be told."""
     newest = played.iloc[-1]
-    sequence, memory_sequence = np.random.SeedSequence([run.seed, len(played)]).spawn(2)
-    trainer = Trainer(run.params, run.agent, int(sequence.generate_state(1)[0]))
-    trainer.agent_steps, trainer.frames = int(newest.agent_steps), int(newest.frames)
-    trainer.episodes = len(played)
+    seed = np.random.SeedSequence([run.seed, len(played)]).generate_state(1)[0]
+    trainer = Trainer(run.params, run.agent, int(seed))
+    trainer.episodes, trainer.frames = len(played), int(newest.frames)
+    # those of games that were under way have been learned from too
+    trainer.agent_steps = max(int(newest.agent_steps), run.provenance()["agent_steps"])
     trainer.means = (float(newest.loss), float(newest.mean_q))
-    memory = rebuilt_memory(
-        run.folder,
-        len(played),
-        run.params.replay_capacity,
-        memory_sequence,
-        run.params.environments,
-    )
-    trainer.memory.set_state(memory.get_state())
+
+    dataset.fill(trainer.memory, run.folder, len(played))
     idle = np.zeros(run.params.environments)
     trainer.memory.append(trainer.envs.planes[-1], idle, idle, idle, idle)  # as a run begins
 
-    trainer.learner.set_weights(read_model(model))
+    trainer.learner.set_weights(weights)
     state = trainer.learner.get_state()
     trainer.learner.set_state({**state, "target": state["online"]})
     steps = trainer.agent_steps - run.params.learning_starts
@@ -139,6 +137,8 @@ def _with_moments(trainer: Trainer, updates: int) -> dict[str, Any]:
     for _ in tqdm(range(count), "Adam's moments", leave=False, unit=" updates", disable=None):
         learner.learn(trainer.memory.sample(trainer.params.batch_size))
     state = learner.get_state()
+    # A step says how far the averages are from their beginning at zero: `count` updates, or so many
+    # that it no longer matters.
     moments = {
         name: torch.tensor(float(updates)) if name.endswith(".step") else value
         for name, value in state["moments"].items()
