@@ -42,8 +42,8 @@ def speeds(params: Parameters, games: list[EpisodeRecord]) -> dict[str, Any]:
         start = time.process_time()
         dataset.trajectory(params, record)
         seconds["with_images"] += time.process_time() - start
-        env, _ = records.begin(params, record)
         start = time.process_time()
+        env, _ = records.begin(params, record)
         for action in record.actions:
             for _ in range(params.frame_skip):
                 env.ale.act(env.actions[action])
@@ -58,12 +58,18 @@ def watch(folder: Path, updates: int) -> Iterator[dict[str, Any]]:
     params = stored_parameters(folder)
     last = pd.read_csv(folder / "episodes.csv").episode.max()
     memory = dataset.rebuilt_memory(folder, int(last), TRANSITIONS, SEED)
-    actions = len(make_env(params).actions)
-    learner = new_learner(AGENTS[params.agents[0]], actions, params, seed=SEED)
+    env = make_env(params)
+    learner = new_learner(AGENTS[params.agents[0]], len(env.actions), params, seed=SEED)
     for update in range(updates + 1):
         if update % (updates // CHECKS) == 0:
             for game in evaluation.play(learner.q_values, params, GAMES, SEED):
-                yield {"update": update, "game": game.game, "score": game.score}
+                opening = env.facts.opening(game.record.idle_frames)
+                yield {
+                    "update": update,
+                    "game": game.game,
+                    "opening": opening,
+                    "score": game.score,
+                }
         learner.learn(memory.sample(params.batch_size))
 
 
@@ -73,6 +79,8 @@ def main() -> None:
     parser.add_argument("--updates", type=int, default=50_000)
     parser.add_argument("--output", type=Path, default=project_root() / "results" / "benchmarks")
     chosen = parser.parse_args()
+    if chosen.updates < CHECKS:
+        parser.error(f"--updates {chosen.updates}: at least {CHECKS}")
     prepare_process()
     params = stored_parameters(chosen.run)
     games = [

@@ -1,10 +1,12 @@
 """What the report says of the records as data."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+import zstandard
 from synthetic import AGENTS, FRAMES, lines_of, numbers, store, study
 
 from atari_dqn.analysis.study import Section
@@ -12,6 +14,7 @@ from atari_dqn.report import offline
 from atari_dqn.runs import frames
 
 DQN, DOUBLE, DUELING = AGENTS
+ROOT = Path(__file__).parents[1]
 
 
 def test_the_size_is_that_of_all_runs_records_and_games(tmp_path, shown):
@@ -43,19 +46,34 @@ def test_the_curve_of_watching_is_the_mean_of_the_games_after_every_update(
     tmp_path, shown, monkeypatch
 ):
     monkeypatch.setattr(offline, "FOLDER", str(tmp_path))
-    store(tmp_path, "boxing_final", DOUBLE, np.r_[np.zeros(2900), np.full(100, 80.0)])
+    scores = np.arange(3000.0)
+    store(tmp_path, "boxing_final", DOUBLE, scores)
     section = Section("boxing_final", "full", str(tmp_path), [DOUBLE])
     offline.show_watching(section)
     assert "fig-watching" not in shown.figures
     measured = {"experiment": "boxing_final", "agent": DOUBLE, "transitions": 200_000}
     (tmp_path / "records.json").write_text(json.dumps(measured))
-    games = [(0, -30.0), (0, -10.0), (5000, 2.0), (5000, 4.0)]
-    table = pd.DataFrame(games, columns=["update", "score"])
+    # of the last check's games two have one opening: one piece of evidence, with twice the weight
+    games = [(0, 1, -30.0), (0, 2, -10.0), (15000, 1, 2.0), (15000, 2, 3.0), (15000, 2, 7.0)]
+    table = pd.DataFrame(games, columns=["update", "opening", "score"])
     table.to_csv(tmp_path / "watching.csv", index=False)
     offline.show_watching(section)
     (axes,) = shown.figures["fig-watching"].axes
-    assert ([0, 5], [-20, 3]) in lines_of(axes)
+    assert ([0, 15], [-20, 4]) in lines_of(axes)
     assert numbers(shown.captions["fig-watching"])[:2] == [200_000, 2]
-    half = 12.706 * np.sqrt(2) / np.sqrt(2)  # Student's t of one degree of freedom
-    told = [5000, 3.0, 95, round(3 - half, 1), round(3 + half, 1), 200_000, 80.0]
+    # means 2 and 5 of one and two games lie (2 - 4) * 1 / 1.5 and (5 - 4) * 2 / 1.5 from 4
+    half = 12.706 * np.std([-4 / 3, 4 / 3], ddof=1) / np.sqrt(2)  # Student's t, 1 degree of freedom
+    # 15,000 updates end with 20,000 + 4 * 15,000 steps, 32 games; 200,000 steps are 80
+    own, watched = np.mean(scores[12:32]), np.mean(scores[-80:])
+    told = [15000, 4.0, 95, round(4 - half, 1), round(4 + half, 1), own, 20, 15000, watched]
     assert numbers(shown.texts[-1]) == pytest.approx(told)
+
+
+def test_the_reader_of_ten_lines_plays_a_game_of_any_difficulty_again():
+    folder = ROOT / "results/runs/boxing_expert/dqn/seed-1"
+    table = pd.read_csv(folder / "episodes.csv")
+    with zstandard.open(folder / "games.jsonl.zst", "rt") as lines:
+        games = [json.loads(next(lines)) for _ in range(3)]
+    scores = [offline.play_again(game, difficulty=3) for game in games]
+    assert scores == table.score[:3].tolist()
+    assert [offline.play_again(game) for game in games] != scores

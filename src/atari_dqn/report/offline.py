@@ -8,7 +8,7 @@ import pandas as pd
 from matplotlib import pyplot as plt
 
 from atari_dqn import params
-from atari_dqn.analysis.statistics import student_interval
+from atari_dqn.analysis.statistics import cluster_interval
 from atari_dqn.analysis.study import Section, Study
 from atari_dqn.report import plots
 from atari_dqn.report.outputs import show_absent, show_figure, show_text
@@ -16,6 +16,7 @@ from atari_dqn.runs import records
 from atari_dqn.runs.files import project_root
 
 FOLDER = "results/benchmarks"
+WINDOW = 20  # games
 
 
 def show_size(study: Study) -> None:
@@ -35,13 +36,14 @@ def show_size(study: Study) -> None:
     )
 
 
-def play_again(game: dict) -> int:
+def play_again(game: dict, difficulty: int = 0) -> int:
     """The score of a recorded game of Boxing, a line of `games.jsonl.zst`."""
     from ale_py import ALEInterface, roms
 
     ale = ALEInterface()
     ale.setFloat("repeat_action_probability", 0.0)
     ale.loadROM(roms.get_rom_path("boxing"))
+    ale.setDifficulty(difficulty)
     ale.reset_game()
     actions = ale.getMinimalActionSet()
     score = sum(ale.act(0) for _ in range(game["idle_frames"]))
@@ -75,7 +77,9 @@ def show_watching(section: Section) -> None:
     measured = json.loads((folder / "records.json").read_text())
     games = pd.read_csv(path)
     checks = games.groupby("update").score
-    low, high = np.array([student_interval(scores.to_numpy(float)) for _, scores in checks]).T
+    low, high = np.array(
+        [cluster_interval(check.score, check.opening) for _, check in games.groupby("update")]
+    ).T
     agent = params.title(measured["agent"])
     look = plots.STYLES[measured["agent"]]
     figure, axes = plt.subplots(figsize=(plots.WIDTH, 2.8))
@@ -90,16 +94,28 @@ def show_watching(section: Section) -> None:
         caption=f"A {agent} from new random weights that learns from the newest "
         f"{measured['transitions']:,} transitions of the {agent} of "
         f"`{measured['experiment']}` and never plays itself: mean of "
-        f"{len(games) // games['update'].nunique()} greedy games, with its 95% interval over them. "
+        f"{len(games) // games['update'].nunique()} greedy games, with its 95% interval over their "
+        "openings. "
         "Dotted: a human tester and random play.",
         alt="The score of an agent that only watches, against its updates.",
         data="benchmarks/watching.csv",
     )
-    newest = games[games["update"] == games["update"].max()].score
-    source = section.scores(measured["agent"], 1, section.params.episodes)[:, -100:]
+    last = games["update"].max()
+    own, watched = _player(section, measured, last)
     show_text(
-        f"After {games['update'].max():,} updates it scores {newest.mean():.1f} (95% interval "
-        f"{low[-1]:.1f} to {high[-1]:.1f}); the games that it watched, mostly the last "
-        f"{measured['transitions'] // 1000 * 1000:,} agent steps of training, score about "
-        f"{source.mean():.1f}."
+        f"After {last:,} updates it scores {checks.mean().iloc[-1]:.1f} (95% interval "
+        f"{low[-1]:.1f} to {high[-1]:.1f}). The agent that played had scored {own:.1f} in the "
+        f"{WINDOW} games up to its own update {last:,}, still playing at random at times; the "
+        f"games that are watched score {watched:.1f} on average."
     )
+
+
+def _player(section: Section, measured: dict, updates: int) -> tuple[float, float]:
+    """The mean scores of the one that played: of its games up to so many updates, and of those
+    whose transitions are watched."""
+    of_agent = (section.episodes.agent == measured["agent"]) & (section.episodes.seed == 1)
+    played, params = section.episodes[of_agent], section.params
+    then = played.agent_steps <= params.learning_starts + updates * params.update_period
+    first = played.agent_steps.max() - measured["transitions"]
+    newest = played[played.agent_steps > first]
+    return float(played[then].score.tail(WINDOW).mean()), float(newest.score.mean())
