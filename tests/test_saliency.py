@@ -3,9 +3,12 @@
 import numpy as np
 import pytest
 import torch
+from synthetic import store
 from torch import nn
 
+from atari_dqn.envs import EpisodeRecord
 from atari_dqn.report import saliency
+from atari_dqn.runs import records
 from atari_dqn.runs.dataset import Trajectory
 
 
@@ -78,3 +81,23 @@ def test_the_spreads_are_those_of_the_states_and_of_the_actions_in_them():
     assert list(found.values()) == pytest.approx(
         [10, 10, np.sqrt(within), 1, 100 * 100 / (100 + within)]
     )
+
+
+def test_the_game_that_is_shown_is_the_newest_models_first_as_it_was_trained(tmp_path):
+    run = store(tmp_path, "boxing_final", "dqn", [1.0])
+    assert saliency.first_evaluated(run) is None
+    heading = {"kind": "evaluation", "difficulty": 0, "sticky_actions": 0.0, "epsilon": 0.001}
+    games = [
+        ({**heading, **changes, "seed": 1, "game": game}, EpisodeRecord(number, b"\1", None))
+        for number, (game, changes) in enumerate(
+            [
+                (0, {"trained_games": 100}),
+                (1, {"trained_games": 100}),
+                (0, {"trained_games": 3000}),
+                (1, {"trained_games": 3000}),
+                (0, {"trained_games": 3000, "difficulty": 2}),
+            ]
+        )
+    ]
+    (run.folder / records.FILE).write_bytes(records.encode(games))
+    assert saliency.first_evaluated(run).idle_frames == 2

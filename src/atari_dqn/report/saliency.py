@@ -237,8 +237,10 @@ def show_saliency(section: Section) -> None:
 
 
 def first_evaluated(run: Run) -> EpisodeRecord | None:
-    """The record of a run's first evaluation game as it was trained; None without one."""
+    """The record of the first evaluation game, as it was trained, of a run's newest model; None
+    without one."""
     if not (run.folder / records.FILE).exists():
         return None
     games = records.as_trained(run.params, records.read_file(run.folder, torn=True))
-    return next((record for heading, record in games if heading["game"] == 0), None)
+    firsts = {heading["trained_games"]: record for heading, record in games if not heading["game"]}
+    return firsts[max(firsts)] if firsts else None
