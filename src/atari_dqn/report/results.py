@@ -501,8 +501,8 @@ def show_robustness(section: Section) -> None:
     ]
     show_text(
         f"Of the last {games} training games of {section.facts.title}, so many begin with the same "
-        f"{steps} steps, action for action, as another: {', '.join(said)}. Little would follow from "
-        "none: the weights change from game to game, and some moves are random."
+        f"{steps} steps, action for action, as another: {', '.join(said)}. Little would follow "
+        "from none: the weights change from game to game, and some moves are random."
     )
 
 
