@@ -219,11 +219,14 @@ def show_saliency(section: Section) -> None:
             for kind in ("value", "advantages"):
                 maps = [getattr(each, kind) for each in seen]
                 rows.append({"agent": name, "what changes": kind, **shares(maps)})
+        even = {"agent": "if all places", "what changes": "counted alike"}
+        rows.append({**even, **shares([np.ones_like(maps[0])])})
         show_table(
             pd.DataFrame(rows),
             label=table,
             caption=f"Where the changes come from, in percent: the sum of the maps of "
-            f"{len(sampled)} states of that game, one every {SAMPLED} steps.",
+            f"{len(sampled)} states of that game, one every {SAMPLED} steps. Last, the parts' "
+            "shares of all places.",
             decimals=0,
         )
     show_figure(
