@@ -133,6 +133,7 @@ def style(run, score, greedy=4, **columns):
     count, name = len(score), tables.STYLES[run.params.game]
     columns = {"score": score, "frames": 7200, "digest": "0", **columns}
     boxing = {"scored": 30.0, "conceded": 10.0, "punches": 60, "reach": 0.5, "distance": 40.0}
+    boxing |= {"blows": 24, "doubles": 6, "ropes": 0.2, "rival_ropes": 0.4}
     columns = {**dict.fromkeys(tables.COLUMNS[name], 1), **boxing, **columns}
     table = pd.DataFrame(columns | {"episode": 100 * np.arange(1, count + 1)})
     run.styles.parent.mkdir(parents=True, exist_ok=True)

@@ -12,7 +12,7 @@ from atari_dqn.analysis import summaries
 from atari_dqn.analysis.study import TITLES, Section
 from atari_dqn.envs import EpisodeRecord
 from atari_dqn.report import notebook, outputs, plots, results
-from atari_dqn.runs import plan, recorder, records, robustness
+from atari_dqn.runs import plan, recorder, records, robustness, styles
 from atari_dqn.runs.files import project_root
 
 DQN, DOUBLE, DUELING = AGENTS
@@ -252,11 +252,14 @@ def test_the_styles_along_training_have_a_panel_per_measure_and_a_line_per_agent
         run = store(tmp_path, "boxing_final", agent, np.zeros(300))
         curve = base * np.array([1.0, 2.0, 3.0])
         how = {"distance": 10 * curve, "reach": curve / 10, "punches": curve.astype(int)}
+        how |= {"blows": 10, "doubles": curve.astype(int), "scored": 33.3 * curve}
+        how |= {"ropes": curve / 20, "rival_ropes": curve / 50}
         style(run, np.zeros(3), **how, conceded=2 * curve)
     results.show_learning_style(study(tmp_path)["boxing_final"])
     panels = shown.figures["fig-boxing-final-style"].axes
-    # an episode lasts two minutes; whoever punches more scores less per punch here
-    for axes, factor in zip(panels, (10, 10, 0.5, None, None, 1), strict=True):
+    # an episode lasts two minutes
+    factors = (10, 10, 0.5, None, 33.3 / 2, 1, 10, None, 5, 2)
+    for axes, factor in zip(panels, factors, strict=True):
         if factor is None:
             continue
         lines = {line.get_label(): line.get_xydata() for line in axes.get_lines()}
@@ -265,9 +268,58 @@ def test_the_styles_along_training_have_a_panel_per_measure_and_a_line_per_agent
             assert lines[name][:, 0].tolist() == [100, 200, 300]
             assert lines[name][:, 1] == pytest.approx(factor * base * np.array([1.0, 2.0, 3.0]))
     titles = [axes.get_title(loc="left") for axes in panels]
-    words = ("distance", "reach", "punches", "per punch", "scored", "conceded")
+    words = ("distance", "reach", "punches", "per punch", "scored", "conceded", "two points")
+    words += ("knock-out", "agent at the ropes", "rival at the ropes")
     assert all(word in title for word, title in zip(words, titles, strict=True))
+    per_punch, knock_outs = (panels[place].get_lines()[0].get_ydata() for place in (3, 7))
+    assert per_punch == pytest.approx([33.3] * 3)
+    assert knock_outs.tolist() == [0, 100, 100], "66.6 points are none, 133.2 are more than one"
     assert "#tbl-boxing-final-style .absent" in shown.texts[-1], "three checks are too few"
+
+
+def test_the_style_map_goes_from_the_first_checks_to_the_last(tmp_path, shown):
+    run = store(tmp_path, "boxing_final", DQN, np.zeros(1000))
+    style(run, np.zeros(10), distance=30.0 + np.arange(10), conceded=[80.0] * 5 + [20.0] * 5)
+    results.show_style_map(study(tmp_path)["boxing_final"])
+    (axes,) = shown.figures["fig-boxing-final-style-map"].axes
+    way, start, end = (line.get_xydata() for line in axes.get_lines())
+    assert way[[0, -1]].tolist() == [[32, 40], [37, 10]], "means of five checks, of two minutes"
+    assert len(way) == 6
+    assert [start.tolist(), end.tolist()] == [[[32, 40]], [[37, 10]]]
+    hollow, filled = (line.get_markerfacecolor() for line in axes.get_lines()[1:])
+    assert (hollow, filled) == ("white", axes.get_lines()[0].get_color())
+    assert "distance" in axes.get_xlabel()
+    assert "conceded" in axes.get_ylabel()
+    few = store(tmp_path / "few", "boxing_final", DQN, np.zeros(900))
+    style(few, np.zeros(9))
+    results.show_style_map(study(tmp_path / "few")["boxing_final"])
+    assert "#fig-boxing-final-style-map .absent" in shown.texts[-1], "the ends would overlap"
+
+
+def test_maps_of_the_ring_are_of_the_first_check_and_of_the_last(tmp_path, shown, monkeypatch):
+    run = store(tmp_path, "boxing_final", DQN, np.zeros(300))
+    asked = []
+
+    def stays(run, episode):
+        asked.append((run.agent, episode))
+        both = np.zeros((2, 20, 21))  # a cell each: the rival's is right of the agent's and above
+        both[0, 3, 9], both[1, 12, 2] = 1, 1
+        return both
+
+    monkeypatch.setattr(styles, "checks", lambda run: [100, 200, 300])
+    monkeypatch.setattr(styles, "stays", stays)
+    results.show_places(study(tmp_path)["boxing_final"])
+    assert asked == [(DQN, 100), (DQN, 300)]
+    panels = shown.figures["fig-boxing-final-places"].axes
+    titles = [axes.get_title() for axes in panels]
+    words = ("agent, 100", "rival, 100", "agent, 300", "rival, 300")
+    assert all(word in title for word, title in zip(words, titles, strict=True))
+    for axes, (x, y) in zip(panels, [(3, 9), (12, 2)] * 2, strict=True):
+        (mesh,) = axes.collections
+        row, column = np.unravel_index(mesh.get_array().argmax(), (21, 20))
+        assert (column, row) == (x, y)
+        assert axes.yaxis_inverted()
+    assert run.folder.exists()
 
 
 def test_balls_of_breakout_are_told_by_their_speed_and_by_where_they_are_lost(tmp_path, shown):

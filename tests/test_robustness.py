@@ -95,6 +95,34 @@ def test_a_mirrored_player_sees_and_moves_the_other_way_round(small):
     np.testing.assert_array_equal(twice(picture), player(picture))
 
 
+@pytest.mark.parametrize(("game", "rows"), [("boxing", 10), ("breakout", 6)])
+def test_a_frozen_scoreboard_is_the_first_pictures_and_all_else_is_seen(small, game, rows):
+    parameters, seen = small(game=game), []
+    env = make_env(parameters)
+    first = env.reset(seed=1)[0]
+    for step in range(80):
+        picture = env.step(step % len(env.actions))[0]
+    assert (picture[:rows] != first[:rows]).any(), "the scoreboard changes with the game"
+    stacked = np.repeat(picture[None, :, :, None], 4, axis=3)
+    before = stacked.copy()
+    robustness.scoreboard_frozen(lambda given: seen.append(given) or given, parameters)(stacked)
+    np.testing.assert_array_equal(stacked, before)
+    for plane in range(4):
+        np.testing.assert_array_equal(seen[0][0, :rows, :, plane], first[:rows])
+        np.testing.assert_array_equal(seen[0][0, rows:, :, plane], picture[rows:])
+
+
+def test_a_condition_that_is_missing_is_added_and_the_others_are_not_played_again(run):
+    run.robustness.unlink(missing_ok=True)
+    robustness.measure(run)
+    before = run.robustness.read_text().splitlines(keepends=True)
+    kept = [line for line in before if not line.startswith("scoreboard,")]
+    kept[1] = kept[1].replace("sequence,1", "sequence,1001")
+    run.robustness.write_text("".join(kept))
+    robustness.measure(run)
+    assert run.robustness.read_text().splitlines(keepends=True) == [before[0], kept[1], *before[2:]]
+
+
 def test_blind_moves_begin_again_when_they_are_used_up(small):
     env = make_env(small(max_game_frames=60))
     env.reset(seed=1)

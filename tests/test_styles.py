@@ -1,7 +1,7 @@
 """Styles are what the console's memory says while recorded greedy episodes are played again."""
 
 from dataclasses import astuple
-from itertools import pairwise
+from itertools import islice, pairwise
 from pathlib import Path
 
 import numpy as np
@@ -36,8 +36,9 @@ def run(small, tmp_path):
     return run
 
 
-def memories(record):
-    """The console's memory before the first step and after each, from an emulator of its own."""
+def frames(record):
+    """The console's memory before the first step and after each of its frames, from an emulator of
+    its own."""
     ale = ALEInterface()
     ale.setFloat("repeat_action_probability", 0.0)
     ale.loadROM(roms.get_rom_path("boxing"))
@@ -48,7 +49,12 @@ def memories(record):
     for action in record.actions:
         for _ in range(4):
             ale.act(ale.getLegalActionSet()[action])
-        yield ale.getRAM().astype(int)
+            yield ale.getRAM().astype(int)
+
+
+def memories(record):
+    """The console's memory before the first step and after each."""
+    return islice(frames(record), 0, None, 4)
 
 
 def punches(memories):
@@ -92,6 +98,63 @@ def test_each_greedy_episode_has_a_row_with_what_the_memory_says(run):
         assert [row.scored, row.conceded] == points
         assert row.score == points[0] - points[1]
         assert row.frames == 4 * STEPS + record.idle_frames
+
+
+def greedy_game(of, episode):
+    """The first greedy game of a stored run after so many training episodes."""
+    folder = ROOT / "results" / "runs" / of / "seed-1"
+    for heading, record in records.read_file(folder):
+        if heading["kind"] == "values" and heading["episode"] == episode:
+            return params.load(folder / "params.yaml"), record
+    raise AssertionError("no such game is on record")
+
+
+def test_blows_for_one_and_for_two_points_are_counted_as_every_frame_shows_them():
+    parameters, record = greedy_game("boxing_final/double_dqn", 800)
+    found = styles.MEASURED["boxing"](parameters, 800, 0, "0", record)
+    cells = [memory[18] for memory in frames(record)]
+    points = [100 if cell == 0xC0 else 10 * (cell >> 4) + (cell & 15) for cell in cells]
+    gains = [gain for gain in np.diff(points) if gain]
+    assert found.blows == len(gains) > 50
+    assert found.doubles == gains.count(2) > 10
+    assert found.scored == sum(gains) == 100
+
+
+def test_the_ring_ends_where_boxers_get_no_further_but_by_a_blow():
+    _, record = greedy_game("boxing_final/double_dqn", 100)
+    seen = np.array([*frames(record)])
+    for axis, cells in enumerate([(32, 33), (34, 35)]):  # x and y, of the agent and of its rival
+        places, (low, high) = seen[:, cells], styles.RING[axis]
+        assert (places == low).any() and (places == high).any()  # noqa: PT018
+        assert np.mean((places < low) | (places > high)) < 0.02
+
+
+@pytest.mark.parametrize("who", ["ropes", "rival_ropes"])
+def test_at_the_ropes_is_within_four_pixels_of_an_end_of_the_ring(run, who):
+    styles.measure(run)
+    recorded = [record for heading, record in records.read_file(run.folder) if "game" in heading]
+    for row, record in zip(pd.read_csv(run.styles).itertuples(), recorded, strict=True):
+        _, *after = memories(record)
+        x, y = ((32, 34) if who == "ropes" else (33, 35)) if after else ()
+        at = [
+            one[x] <= 34 or one[x] >= 105 or one[y] <= 7 or one[y] >= 83  # of 30 to 109, 3 to 87
+            for one in after
+        ]
+        assert getattr(row, who) == pytest.approx(np.mean(at))
+
+
+def test_maps_of_the_ring_hold_the_share_of_all_steps_of_a_check(run):
+    found = styles.stays(run, 100)
+    assert styles.checks(run) == [100]
+    assert found.sum(axis=(1, 2)) == pytest.approx([1, 1])
+    recorded = [record for heading, record in records.read_file(run.folder) if "game" in heading]
+    steps = [memory for record in recorded for memory in [*memories(record)][1:]]
+    for who, (x, y) in enumerate([(32, 34), (33, 35)]):
+        expected = np.zeros_like(found[who])
+        for memory in steps:
+            column, row = (memory[x] - 30) // 4, (memory[y] - 3) // 4
+            expected[np.clip(column, 0, 19), np.clip(row, 0, 20)] += 1 / len(steps)
+        np.testing.assert_allclose(found[who], expected)
 
 
 def test_what_is_measured_is_not_played_again_and_another_record_is(run, monkeypatch):

@@ -26,6 +26,7 @@ class GameFacts:
     boxers: tuple[tuple[int, int], tuple[int, int]] | None = None  # RAM cells of x and y, in
     # pixels, of the agent and of its rival (Anand et al., 2019)
     full_frames: int | None = None  # of a game that only its clock ends, where there is one
+    scoreboard: int = 0  # rows of an observation, from its top, with the score and a clock or lives
     clock_cells: tuple[int, int] | None = None  # RAM cells of a clock that runs down: minutes in
     # the upper half of the first, seconds in the second, as decimal digits
 
@@ -61,9 +62,12 @@ GAMES = {
             knockout_cells=(18, 19),
             boxers=((32, 34), (33, 35)),
             full_frames=7141,
+            scoreboard=10,
             clock_cells=(16, 17),
         ),
-        GameFacts("breakout", 1.7, 30.5, (0, 1), 864, fire_to_serve=True, idle_cycle=4),
+        GameFacts(
+            "breakout", 1.7, 30.5, (0, 1), 864, fire_to_serve=True, idle_cycle=4, scoreboard=6
+        ),
         GameFacts("centipede", 2090.9, 12017.0, (0,)),
         GameFacts("chopper_command", 811.0, 7387.8, (0, 1)),
         GameFacts("crazy_climber", 10780.5, 35829.4, (0, 1)),
@@ -112,7 +116,10 @@ GAMES = {
 }
 
 
+KNOCK_OUT = 100  # points of Boxing that end a game; the best score is these and none conceded
+
+
 def boxing_points(cell: int) -> int:
     """The points that a memory cell of Boxing holds: a decimal digit in each half, or a
     knock-out's."""
-    return 100 if cell == 0xC0 else 10 * (cell >> 4) + (cell & 0xF)
+    return KNOCK_OUT if cell == 0xC0 else 10 * (cell >> 4) + (cell & 0xF)

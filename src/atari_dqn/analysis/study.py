@@ -11,7 +11,7 @@ from ruamel.yaml import YAML
 
 from atari_dqn import params
 from atari_dqn.analysis.statistics import MILESTONES
-from atari_dqn.games import GAMES, GameFacts
+from atari_dqn.games import GAMES, KNOCK_OUT, GameFacts
 from atari_dqn.params import EVALUATION, Parameters
 from atari_dqn.runs import plan, tables
 from atari_dqn.runs.files import project_root, results_folder
@@ -192,11 +192,12 @@ class Section:
     def styles(self) -> pd.DataFrame:
         """How the agents play in the checks of greedy play along their training, a row per greedy
         episode: what `runs.styles` finds, agent, seed, and what follows: in Boxing what it counts
-        per minute and per punch, and percent of the time within reach; in Breakout 100 for a game
-        with a tunnel and, of all balls of the check that the game is of, the percent of each speed
-        that were returned, and of the lost ones that were lost at the sides; in columns of the same
-        names and `_of`, how many such balls the game itself has. (A game goes on until balls are
-        lost, so that its own percentages would be too low on average.)"""
+        per minute and per punch, percent of the time within reach and at the ropes, of the blows
+        that score those for two points, and 100 for a game won by knock-out; in Breakout 100 for a
+        game with a tunnel and, of all balls of the check that the game is of, the percent of each
+        speed that were returned, and of the lost ones that were lost at the sides; in columns of
+        the same names and `_of`, how many such balls the game itself has. (A game goes on until
+        balls are lost, so that its own percentages would be too low on average.)"""
         if self.params.game not in tables.STYLES:
             return pd.DataFrame()
         table = self._beside("styles", tables.STYLES[self.params.game])
@@ -206,9 +207,15 @@ class Section:
             minutes = table.frames / FRAMES_PER_MINUTE
             counted = ("scored", "conceded", "punches")
             rates = {f"{name}_per_minute": table[name] / minutes for name in counted}
-            punches = _some(table.punches)
-            per_punch = table.scored / punches
-            return table.assign(**rates, points_per_punch=per_punch, within_reach=100 * table.reach)
+            return table.assign(
+                **rates,
+                points_per_punch=table.scored / _some(table.punches),
+                two_points=100 * table.doubles / _some(table.blows),
+                knock_outs=100.0 * (table.scored >= KNOCK_OUT),
+                within_reach=100 * table.reach,
+                at_ropes=100 * table.ropes,
+                rival_at_ropes=100 * table.rival_ropes,
+            )
         parts = {"sides": (table.lost_left + table.lost_right, table.lost_middle)}
         for speed in tables.SPEEDS:
             parts[speed] = table[f"returned_{speed}"], table[f"lost_{speed}"]

@@ -28,9 +28,9 @@ from atari_dqn.analysis.verdicts import (
     mean_score,
     milestone_episodes,
 )
+from atari_dqn.games import KNOCK_OUT
 
 EARLY = 500  # episodes, before which an agent still acts mostly at random
-BEST = 100  # points of a game of Boxing: a knock-out, and nothing conceded
 RECENT = 100  # episodes, of which the score of a run in progress is the mean
 NEWEST = 10  # checks of values: an untrained network's errors say nothing about it when trained
 UNJUDGED = [*Outcome.OPEN.value, *Outcome.UNTESTED.value]
@@ -135,7 +135,7 @@ def _scored(section: Section, found: Standings) -> str:
     each = " each" * bool(others)
     return (
         f"{text}After {found.last:,} games of {facts.title}{each}, {_in_a_row(said)} (mean of the "
-        f"last {found.last - found.first + 1} games; best possible {BEST}; one human tester "
+        f"last {found.last - found.first + 1} games; best possible {KNOCK_OUT}; one human tester "
         f"{facts.human:g}; random play {facts.random:g})."
     )
 
@@ -486,6 +486,10 @@ STYLE_MEASURES = {  # of `Section.styles`, by game
         "points_per_punch": "points scored per punch",
         "scored_per_minute": "points scored per minute",
         "conceded_per_minute": "points conceded per minute",
+        "two_points": "blows for two points (% of those that score)",
+        "knock_outs": "games won by knock-out (%)",
+        "at_ropes": "agent at the ropes (% of the time)",
+        "rival_at_ropes": "rival at the ropes (% of the time)",
     },
     "breakout": {
         "slow": "slow balls returned (%)",
@@ -503,8 +507,8 @@ def style_changes(section: Section) -> pd.DataFrame:
     """What changes in how agents play, from their first checks of greedy play to their last:
     columns agent, seed, measure (of `Section.styles`), first, last, the 95% interval of the change
     (low, high; Welch's, over checks) and half_way: the training episodes after which the measure,
-    smoothed over as many checks, has gone half of its way; none where the interval holds zero, or
-    where there is none. A mean is nan of fewer than two checks that have the measure."""
+    smoothed over as many checks, has first gone half of its way; none where the interval holds
+    zero, or where there is none. A mean is nan of fewer than two checks that have the measure."""
     rows: list[dict[str, object]] = []
     if section.styles.empty:
         return pd.DataFrame(rows)

@@ -7,6 +7,7 @@ thing has one of these colours: settings, and stages of one agent, are shades of
 
 import textwrap
 from collections import deque
+from collections.abc import Mapping
 from itertools import cycle, pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -18,6 +19,7 @@ import seaborn as sns
 from matplotlib import font_manager
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
+from matplotlib.colors import PowerNorm
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
@@ -377,10 +379,10 @@ def value_errors(values: pd.DataFrame) -> Figure:
 
 
 def styles_along(styles: pd.DataFrame, measures: dict[str, str]) -> Figure:
-    """How agents play against training episodes, a panel for each of six measures, by their columns
-    in `Section.styles`."""
-    styles = drawable(styles)
-    figure, panels = plt.subplots(3, 2, sharex=True, figsize=(WIDTH, 6.4))
+    """How agents play against training episodes, a panel for each measure of an even number, by
+    their columns in `Section.styles`."""
+    styles, rows = drawable(styles), len(measures) // 2
+    figure, panels = plt.subplots(rows, 2, sharex=True, figsize=(WIDTH, 0.4 + 1.7 * rows))
     for axes, (column, title) in zip(panels.flat, measures.items(), strict=True):
         for agent in agents_of(styles):
             own = styles[styles.agent == agent].groupby("episode")[column].mean()
@@ -395,7 +397,51 @@ def styles_along(styles: pd.DataFrame, measures: dict[str, str]) -> Figure:
     figure.legend(
         panels.flat[0].get_lines(), titles, loc="upper left", ncols=3, bbox_to_anchor=(0.06, 1.0)
     )
-    figure.tight_layout(rect=(0, 0, 1, 0.96))
+    figure.tight_layout(rect=(0, 0, 1, 1 - 0.25 / figure.get_figheight()))
+    return figure
+
+
+def style_map(styles: pd.DataFrame, measures: tuple[str, str], checks: int) -> Figure:
+    """Each agent's way over its training on a map of two measures (columns of `Section.styles`),
+    each point the mean of so many checks in a row; hollow where it begins, filled where it ends."""
+    figure, axes = plt.subplots(figsize=(WIDTH, 3.4))
+    for agent in agents_of(styles):
+        own = styles[styles.agent == agent].groupby("episode")[list(measures)].mean()
+        way = own.rolling(checks).mean().dropna().to_numpy().T
+        name, (colour, line) = params.title(agent), STYLES[agent]
+        (drawn,) = axes.plot(*way, color=colour, ls=line, lw=1.2, label=name)
+        named(drawn, name, value=name)
+        for end, face in ((0, "white"), (-1, colour)):
+            axes.plot(*way[:, end], "o", ms=7, color=colour, markerfacecolor=face)
+    labels = {
+        "distance": "distance of the boxers (pixels)",
+        "conceded_per_minute": "points conceded per minute",
+    }
+    axes.set(xlabel=labels[measures[0]], ylabel=labels[measures[1]])
+    axes.legend()
+    return figure
+
+
+def places(stays: Mapping[str, Mapping[int, np.ndarray]]) -> Figure:
+    """Where the agent and its rival stand: a row per agent, and for each of two checks, by the
+    episodes before them, the share of the time [the two, x, y] in cells of equal size."""
+    figure, panels = plt.subplots(
+        len(stays), 4, squeeze=False, figsize=(WIDTH, 0.3 + 1.15 * len(stays))
+    )
+    most = max(part.max() for checks in stays.values() for part in checks.values())
+    shade = sns.light_palette("#6b1740", as_cmap=True)
+    for row, (agent, checks) in zip(panels, stays.items(), strict=True):
+        maps = [
+            (f"{who}, {episode:,} games", part)
+            for episode, both in checks.items()
+            for who, part in zip(("agent", "rival"), both, strict=True)
+        ]
+        for axes, (title, part) in zip(row, maps, strict=True):
+            axes.pcolormesh(part.T, cmap=shade, norm=PowerNorm(0.4, vmin=0, vmax=most))
+            axes.set(xticks=[], yticks=[], aspect=4 / 7)
+            axes.invert_yaxis()  # as on the television
+            axes.set_title(title, fontsize="small")
+        row[0].set_ylabel(params.title(agent).replace("Double", "\nDouble"), fontsize="small")
     return figure
 
 

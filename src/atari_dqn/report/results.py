@@ -15,6 +15,7 @@ from atari_dqn.analysis.statistics import (
     scores_at_milestones,
 )
 from atari_dqn.analysis.study import FRAMES_PER_MINUTE, Section, data, openings, spelled
+from atari_dqn.games import KNOCK_OUT
 from atari_dqn.params import HELD_OUT_STATES, VALUE_GAMES, VALUES_PERIOD
 from atari_dqn.report import plots
 from atari_dqn.report.interactive import switches
@@ -25,7 +26,7 @@ from atari_dqn.report.outputs import (
     show_table,
     show_text,
 )
-from atari_dqn.runs import robustness
+from atari_dqn.runs import robustness, styles
 from atari_dqn.runs.styles import AGENT
 
 
@@ -409,7 +410,7 @@ def show_learning_style(section: Section) -> None:
         caption=f"{section.title}: how the agents play along their training, in the {VALUE_GAMES} "
         f"greedy games after every {VALUES_PERIOD} training games: means, of what the console's "
         "memory says.",
-        alt=f"Six panels against training games: {'; '.join(measures.values())}. A line per agent.",
+        alt=f"Panels against training games: {'; '.join(measures.values())}. A line per agent.",
         data=f"results/styles/{section.params.experiment}/",
     )
     changes = summaries.style_changes(section)
@@ -440,6 +441,46 @@ def show_learning_style(section: Section) -> None:
     )
 
 
+def show_style_map(section: Section) -> None:
+    """Where each agent of Boxing goes, from its first check of greedy play to its last, on a map of
+    distance and points conceded."""
+    label, table = f"fig-{section.slug}-style-map", plots.drawable(section.styles)
+    if table.empty or table.episode.nunique() < 2 * summaries.CHECKS:
+        show_placeholders(label)
+        return
+    show_figure(
+        plots.style_map(table, ("distance", "conceded_per_minute"), summaries.CHECKS),
+        label=label,
+        caption=f"{section.title}: each agent's way over its training, from the hollow point to "
+        f"the filled one: distance of the boxers and points conceded per minute, each a mean of "
+        f"{summaries.CHECKS} checks of greedy play in a row.",
+        alt="A path per agent on a map: distance to the right, points conceded upwards.",
+        data=f"results/styles/{section.params.experiment}/",
+    )
+
+
+def show_places(section: Section) -> None:
+    """Where both boxers stand in the first and in the last check of greedy play of each agent."""
+    label, found = f"fig-{section.slug}-places", {}
+    for run in section.usable:
+        checks = styles.checks(run)
+        if run.seed == section.params.seeds[0] and len(checks) > 1:
+            ends = checks[0], checks[-1]
+            found[run.agent] = {episode: styles.stays(run, episode) for episode in ends}
+    if not found:
+        show_placeholders(label)
+        return
+    show_figure(
+        plots.places(found),
+        label=label,
+        caption=f"{section.title}: where the agent and its rival spend their time, in "
+        f"{styles.MAPPED} greedy games each of an agent's first check and of its last, "
+        "seen from above as on the television: the darker, the longer, on one scale.",
+        alt="Maps of the ring, a row per agent: the agent and its rival, early and late.",
+        data=f"results/runs/{section.params.experiment}/*/*/games.jsonl.zst",
+    )
+
+
 def _half_way(change: Any) -> str:
     if np.isnan(change.low):
         return "–"
@@ -467,6 +508,7 @@ def show_robustness(section: Section) -> None:
             f"sticky actions, {chance:g}": played[played.sticky_actions == chance]
             for chance in p.evaluation_stickiness
         },
+        "scoreboard frozen": _under(section, robustness.SCOREBOARD),
         "left and right exchanged": _under(section, robustness.MIRRORED),
         BLINDLY: _under(section, robustness.SEQUENCE),
     }
@@ -489,8 +531,9 @@ def show_robustness(section: Section) -> None:
         table.drop(columns="seed") if table.seed.nunique() == 1 else table,
         label=label,
         caption=f"{section.title}: greedy games of finished agents under "
-        "conditions that they were trained for (first) and that they were not. The best "
-        "evaluation game's moves are made in every other opening. Intervals are over openings.",
+        "conditions that they were trained for (first) and that they were not. A frozen scoreboard "
+        "shows score and clock, or lives, as in a game's first picture. The best evaluation game's "
+        "moves are made in every other opening. Intervals are over openings.",
         decimals=1,
     )
     games, steps = OPENINGS
@@ -516,9 +559,6 @@ def _under(section: Section, condition: str) -> pd.DataFrame:
     return games.assign(opening=openings(drawn, p))
 
 
-LOWEST = -100.0  # points, the worst that an episode of Boxing can end with
-
-
 def show_transfer(transferred: Section, scratch: Section) -> None:
     """What starting from another game's agent is worth (Taylor and Stone, 2009)."""
     label = "tbl-transfer"
@@ -538,7 +578,7 @@ def show_transfer(transferred: Section, scratch: Section) -> None:
                 "games": played,
                 "early": gain[:early].mean(),
                 "early, greedy": greedy[0] - greedy[1],
-                "area ratio": gain.sum() / (theirs[:played] - LOWEST).sum(),
+                "area ratio": gain.sum() / (theirs[:played] + KNOCK_OUT).sum(),
                 "at the end": gain[-late:].mean(),
             }
         )
@@ -556,7 +596,7 @@ def show_transfer(transferred: Section, scratch: Section) -> None:
         f"{early} training games, while training and in the greedy games of the checks among "
         f"them ({VALUE_GAMES} per check); *at the end*, that over the last {late} training "
         "games. The area between the two curves is given as a share of the area between the "
-        f"curve from scratch and {LOWEST:g} points, the lowest score there is.",
+        f"curve from scratch and {-KNOCK_OUT} points, the lowest score there is.",
     )
 
 

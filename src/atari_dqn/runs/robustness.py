@@ -3,14 +3,15 @@ never met:
 
     sequence    the moves of its best evaluation game, made blindly in every other opening
     mirrored    left and right exchanged, in what it sees and in what it does
+    scoreboard  score and clock, or lives, as in the first picture, in what it sees
 
 Sticky actions, the third such condition, are a part of every final evaluation.
 """
 
 import re
 from collections import Counter
-from collections.abc import Iterator
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Callable, Iterator
+from dataclasses import astuple, dataclass, fields
 from itertools import cycle
 from typing import TYPE_CHECKING
 
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
     from atari_dqn.evaluation import Player
 
 EXPERIMENTS = ("boxing_final", "breakout_final")  # whose agents are put to it
-SEQUENCE, MIRRORED = "sequence", "mirrored"
+SEQUENCE, MIRRORED, SCOREBOARD = "sequence", "mirrored", "scoreboard"
 
 
 @dataclass(frozen=True)
@@ -44,8 +45,8 @@ class Trial:
 
 
 def measure(run: Run) -> None:
-    """Plays a complete run's model under both conditions and writes the run's file, unless the
-    file is of this model. Raises RunError or RecordError if model or records cannot be read."""
+    """Plays a complete run's model under each condition that the run's file does not have yet for
+    this model. Raises RunError or RecordError if model or records cannot be read."""
     if run.state() != COMPLETE:
         return
     from atari_dqn.runs import models  # here: the report's tables are read without PyTorch
@@ -53,11 +54,20 @@ def measure(run: Run) -> None:
     model = run.folder / "model.safetensors"
     trained = models.trained_games(model)
     stored = tables.read_file(run.robustness, tables.ROBUSTNESS)
-    if len(stored) and set(stored.trained_games) == {trained}:
-        return
-    trials = [*_sequence(run, trained), *_mirrored(run, trained)]
     columns = [field.name for field in fields(Trial)]
-    table = pd.DataFrame([asdict(trial) for trial in trials], columns=columns)
+    table = (
+        stored[stored.trained_games == trained] if len(stored) else pd.DataFrame(columns=columns)
+    )
+    conditions = {
+        SEQUENCE: _sequence(run, trained),
+        MIRRORED: _changed(run, trained, MIRRORED, mirrored),
+        SCOREBOARD: _changed(run, trained, SCOREBOARD, scoreboard_frozen),
+    }
+    missing = [trials for name, trials in conditions.items() if name not in set(table.condition)]
+    if not missing:
+        return
+    rows = [astuple(trial) for trials in missing for trial in trials]
+    table = pd.DataFrame([*table.itertuples(index=False, name=None), *rows], columns=columns)
     run.robustness.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(run.robustness, table.to_csv(index=False).encode())
 
@@ -113,16 +123,18 @@ def play_blindly(env: AtariEnv, moves: bytes) -> None:
             return
 
 
-def _mirrored(run: Run, trained: int) -> Iterator[Trial]:
+def _changed(
+    run: Run, trained: int, condition: str, change: Callable[["Player", Parameters], "Player"]
+) -> Iterator[Trial]:
     from atari_dqn import evaluation
     from atari_dqn.runs import models
 
     network = models.load_model(run.folder / "model.safetensors", run.params)
-    player = mirrored(evaluation.player_of(network, run.params), run.params)
+    player = change(evaluation.player_of(network, run.params), run.params)
     games = run.params.evaluation_games
     playing = evaluation.play(player, run.params, games, run.seed)
-    for game in tqdm(playing, total=games, desc=f"mirrored games of {run.name}", mininterval=2):
-        yield Trial(MIRRORED, game.game, game.score, game.length, trained)
+    for game in tqdm(playing, total=games, desc=f"{condition}: {run.name}", mininterval=2):
+        yield Trial(condition, game.game, game.score, game.length, trained)
 
 
 def mirrored(player: "Player", params: Parameters) -> "Player":
@@ -135,5 +147,18 @@ def mirrored(player: "Player", params: Parameters) -> "Player":
 
     def play(observations: np.ndarray) -> np.ndarray:
         return player(np.ascontiguousarray(observations[:, :, ::-1]))[:, moves]
+
+    return play
+
+
+def scoreboard_frozen(player: "Player", params: Parameters) -> "Player":
+    """The player that sees score and clock, or lives, as they are in a game's first picture."""
+    game, rows = make_env(params), GAMES[params.game].scoreboard
+    first = game.reset(seed=0)[0][:rows]
+
+    def play(observations: np.ndarray) -> np.ndarray:
+        seen = observations.copy()  # [games, height, width, stack]
+        seen[:, :rows] = first[:, :, None]
+        return player(seen)
 
     return play

@@ -27,6 +27,10 @@ OUT = 24  # from where on a punch is counted: an arm is farther out for longer t
 STRUCK = 41  # what both arms are set to by a blow that the agent takes
 REACH = 30  # pixels to the side, and up or down, beyond which no punch lands (results/benchmarks/
 # punches.csv)
+RING = ((30, 109), (3, 87))  # the least and the most of a boxer's x, and of its y, in pixels; the
+# very few steps beyond these are by a blow (tests/test_styles.py)
+CELL, MAPPED = 4, 10  # pixels of a cell, and games of a check, of a map of the ring
+AT_ROPES = 4  # pixels from there: a boxer this near can hardly move further
 
 BALL = (99, 101)  # memory cells: x and y of the ball, in pixels
 SPEED = 103  # memory cell: whole pixels per frame that the ball goes down, as a signed byte
@@ -55,6 +59,10 @@ class Boxing(Style):
     punches: int  # that the agent threw, landed or not
     reach: float  # share of the steps in which a punch could have landed
     distance: float  # pixels between the boxers, mean over the steps
+    blows: int  # steps in which the agent scored
+    doubles: int  # of these, by two points: from near, with the arm half out
+    ropes: float  # share of the steps in which the agent stood at the ropes
+    rival_ropes: float  # and its rival
 
 
 @dataclass(frozen=True)
@@ -99,31 +107,69 @@ def measure(run: Run) -> None:
 def _boxing(
     params: Parameters, episode: int, game: int, digest: str, record: EpisodeRecord
 ) -> Boxing:
-    boxers = np.array(GAMES[params.game].boxers)
-    punches, extended, reached, distances = 0, np.zeros(2, bool), [], []
+    memories, scored = [], []
     for env in records.replay(params, record):
-        memory = env.ram().astype(int)
-        arms = memory[list(ARMS)]
-        before, extended = extended, arms > OUT
-        if env.length:
-            if (arms != STRUCK).any():
-                punches += int((extended & ~before).sum())
-            gaps = np.abs(memory[boxers[0]] - memory[boxers[1]])
-            reached.append(bool((gaps <= REACH).all()))
-            distances.append(env.distance())
-    scored, conceded = env.points()
+        memories.append(env.ram())
+        scored.append(env.points()[0])
+    memory = np.array(memories).astype(int)  # [moments, cells]; the first is before any step
+    arms = memory[:, ARMS]
+    out = (arms > OUT)[1:] & ~(arms > OUT)[:-1] & (arms != STRUCK).any(axis=1, keepdims=True)[1:]
+    agent, rival = places(memory[1:])  # [steps, x and y]
+    gaps = np.abs(agent - rival)
+    gains = np.diff(scored)
     return Boxing(
         episode,
         game,
         digest,
         env.frames,
         env.score,
-        scored,
-        conceded,
-        punches,
-        float(np.mean(reached)),
-        float(np.mean(distances)),
+        *env.points(),
+        punches=int(out.sum()),
+        reach=float((gaps <= REACH).all(axis=1).mean()),
+        distance=float(np.hypot(*gaps.T).mean()),
+        blows=int((gains > 0).sum()),
+        doubles=int((gains > 1).sum()),
+        ropes=_at_ropes(agent),
+        rival_ropes=_at_ropes(rival),
     )
+
+
+def places(memory: np.ndarray) -> np.ndarray:
+    """Where both boxers are in each of some moments: int [the agent and its rival, moments, x and
+    y], in pixels, of the console's memory [moments, cells]."""
+    return np.stack([memory[:, cells] for cells in GAMES["boxing"].boxers or ()]).astype(int)
+
+
+def checks(run: Run) -> list[int]:
+    """The training episodes after which a run has greedy episodes on record, in their order."""
+    games = records.read_file(run.folder, torn=True)
+    return sorted({heading["episode"] for heading, _ in games if heading["kind"] == records.VALUES})
+
+
+def stays(run: Run, episode: int) -> np.ndarray:
+    """Where both boxers spend their time in the first `MAPPED` greedy episodes after so many
+    training episodes: the share of the steps [the agent and its rival, x, y], in cells of `CELL`
+    pixels; what little is beyond the ropes counts for the cell there."""
+    played = [
+        record
+        for heading, record in records.read_file(run.folder, torn=True)
+        if heading["kind"] == records.VALUES and heading["episode"] == episode
+    ]
+    ring = [np.arange(low, high + CELL, CELL) for low, high in RING]
+    counts = np.zeros((2, *(len(edges) - 1 for edges in ring)))
+    for record in played[:MAPPED]:
+        memory = np.array([env.ram() for env in records.replay(run.params, record)][1:])
+        for count, boxer in zip(counts, places(memory), strict=True):
+            count += np.histogram2d(*np.clip(boxer, *np.array(RING).T).T, bins=ring)[0]
+    return counts / counts[0].sum()
+
+
+def _at_ropes(boxer: np.ndarray) -> float:
+    """The share of the moments in which a boxer, [moments, x and y], is at the ropes."""
+    (left, right), (top, bottom) = RING
+    low = np.array([left, top]) + AT_ROPES
+    high = np.array([right, bottom]) - AT_ROPES
+    return float(((boxer <= low) | (boxer >= high)).any(axis=1).mean())
 
 
 def _breakout(

@@ -37,14 +37,14 @@ NUMBER = rf"{WHOLE}(?:\.[0-9]+)?(?:e[+-]?[0-9]{{1,2}})?"
 OR_NAN = rf"(?:{NUMBER}|nan)?"  # pandas writes nothing for nan
 TRUTH = "(?:True|False)"
 DIGEST = "[0-9a-f]+"
-CONDITION = "(?:sequence|mirrored)"
+CONDITION = "(?:sequence|mirrored|scoreboard)"
 SAID = {
     WHOLE: "a whole number",
     NUMBER: "a number",
     OR_NAN: "a number or nan",
     TRUTH: "True or False",
     DIGEST: "a hexadecimal number",
-    CONDITION: "sequence or mirrored",
+    CONDITION: "sequence, mirrored or scoreboard",
 }
 STYLE = {"episode": WHOLE, "game": WHOLE, "digest": DIGEST, "frames": WHOLE, "score": NUMBER}
 COLUMNS: dict[str, dict[str, str]] = {
@@ -86,6 +86,10 @@ COLUMNS: dict[str, dict[str, str]] = {
         "punches": WHOLE,
         "reach": NUMBER,
         "distance": NUMBER,
+        "blows": WHOLE,
+        "doubles": WHOLE,
+        "ropes": NUMBER,
+        "rival_ropes": NUMBER,
     },
     STYLES["breakout"]: {
         **STYLE,
