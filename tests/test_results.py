@@ -302,7 +302,7 @@ def test_maps_of_the_ring_are_of_the_first_check_and_of_the_last(tmp_path, shown
 
     def stays(run, episode):
         asked.append((run.agent, episode))
-        both = np.zeros((2, 20, 21))  # a cell each: the rival's is right of the agent's and above
+        both = np.zeros((2, 20, 22))  # a cell each: the rival's is right of the agent's and above
         both[0, 3, 9], both[1, 12, 2] = 1, 1
         return both
 
@@ -316,7 +316,7 @@ def test_maps_of_the_ring_are_of_the_first_check_and_of_the_last(tmp_path, shown
     assert all(word in title for word, title in zip(words, titles, strict=True))
     for axes, (x, y) in zip(panels, [(3, 9), (12, 2)] * 2, strict=True):
         (mesh,) = axes.collections
-        row, column = np.unravel_index(mesh.get_array().argmax(), (21, 20))
+        row, column = np.unravel_index(mesh.get_array().argmax(), (22, 20))
         assert (column, row) == (x, y)
         assert axes.yaxis_inverted()
     assert run.folder.exists()

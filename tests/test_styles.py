@@ -153,7 +153,7 @@ def test_maps_of_the_ring_hold_the_share_of_all_steps_of_a_check(run):
         expected = np.zeros_like(found[who])
         for memory in steps:
             column, row = (memory[x] - 30) // 4, (memory[y] - 3) // 4
-            expected[np.clip(column, 0, 19), np.clip(row, 0, 20)] += 1 / len(steps)
+            expected[np.clip(column, 0, 19), np.clip(row, 0, 21)] += 1 / len(steps)
         np.testing.assert_allclose(found[who], expected)
 
 
