@@ -10,7 +10,7 @@ from synthetic import AGENTS, ROOT, TITLES, check, evaluate, facts, numbers, sto
 
 from atari_dqn.analysis import summaries
 from atari_dqn.analysis.claims import FINDINGS
-from atari_dqn.analysis.statistics import coverage, likeness
+from atari_dqn.analysis.statistics import coverage, likeness, series_interval
 from atari_dqn.analysis.study import Section
 from atari_dqn.analysis.verdicts import Mean
 from atari_dqn.params import VALUE_GAMES
@@ -398,13 +398,20 @@ def test_the_reading_of_values_is_the_mean_error_and_the_last_check_of_each_agen
     values = pd.read_csv(path).assign(predicted=[2.0, 4.0, 9.0], realised=[1.0, 2.0, 3.0])
     values.to_csv(path, index=False)
     said = summaries.values_reading(study(tmp_path)["boxing_final"])
-    assert facts(said) == ["DQN", 3.0, 3, 9.0, 3.0, 300]
+    # errors of 1, 2 and 6 lie 0.5, -1 and 0.5 off a line: Student's t with the two degrees of
+    # freedom of three values that are no more alike than chance, or wider
+    found = facts(said)
+    assert [*found[:3], *found[6:]] == ["DQN", 3.0, 3, 9.0, 3.0, 300]
+    assert found[3] == 95
+    assert found[4:6] == [round(end, 1) for end in series_interval(np.array([1.0, 2.0, 6.0]))]
     assert "3.0 more" in said
     run = store(tmp_path, "boxing_final", DQN, np.full(1300, 5.0))
     predicted = np.repeat([-FAR, 1.0], [3, 10])  # the first ones an untrained network's
     check(run, np.zeros(13), predicted=predicted, realised=np.repeat([0, 1.5, 2.0], [3, 9, 1]))
     said = summaries.values_reading(study(tmp_path)["boxing_final"])
-    assert facts(said) == ["DQN", 0.6, 10, 1.0, 2.0, 1300]
+    found = facts(said)
+    assert [*found[:3], *found[6:]] == ["DQN", 0.6, 10, 1.0, 2.0, 1300]
+    assert found[4] < -0.6 < found[5] < 0, "predicted less realised, where it predicts less"
     assert "0.6 less" in said
     assert summaries.values_reading(study(tmp_path)["breakout_final"]) == ""
 

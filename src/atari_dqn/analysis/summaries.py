@@ -15,6 +15,7 @@ from atari_dqn.analysis.statistics import (
     coverage,
     iqm,
     likeness,
+    series_interval,
     stratified_interval,
     trailing_mean,
     welch_interval,
@@ -32,6 +33,7 @@ from atari_dqn.games import KNOCK_OUT
 
 EARLY = 500  # episodes, before which an agent still acts mostly at random
 RECENT = 100  # episodes, of which the score of a run in progress is the mean
+SOME = 3  # checks, from which on they have an interval
 NEWEST = 10  # checks of values: an untrained network's errors say nothing about it when trained
 UNJUDGED = [*Outcome.OPEN.value, *Outcome.UNTESTED.value]
 
@@ -551,15 +553,20 @@ def _over_checks(games: pd.DataFrame, measure: str, checks: pd.Index) -> float:
 
 
 def values_reading(section: Section) -> str:
-    """How far each agent's predicted values have been from what followed; empty without checks."""
+    """How far each agent's predicted values have been from what followed, with an interval over
+    checks from three of them on; empty without checks."""
     said: list[str] = []
     if section.values.empty:
         return ""
     for (agent, seed), checks in section.values.groupby(["agent", "seed"], sort=False):
         seeds = f", seed {seed}" if len(section.params.seeds) > 1 else ""
         newest = checks.tail(NEWEST)
-        last, error = newest.iloc[-1], (newest.predicted - newest.realised).mean()
+        last, errors = newest.iloc[-1], (newest.predicted - newest.realised).to_numpy()
+        error = errors.mean()
         number = f"its last {len(newest)} checks" if len(newest) > 1 else "its only check"
+        if len(newest) >= SOME:
+            low, high = series_interval(errors)
+            number += f" (95% interval of predicted less realised: {low:.1f} to {high:.1f})"
         said.append(
             f"{params.title(str(agent))}{seeds} predicts {abs(error):.1f} "
             f"{'more' if error >= 0 else 'less'} than what follows, on average over {number}, and "
