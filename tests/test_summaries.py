@@ -44,8 +44,8 @@ def test_a_headline_of_runs_in_progress_compares_the_last_hundred_episodes_that_
 
 
 def test_an_agent_has_one_score_wherever_it_is_told(tmp_path):
-    """In the headline, the conclusion and the reading, of runs in progress and of
-    finished ones: never that of an evaluation."""
+    """In the headline, beside the others and in the reading, of runs in progress and of finished
+    ones: never that of an evaluation."""
     for length, expected, window_ in ((810, 42.0, 100), (3000, 33.0, 500)):
         scores = np.r_[np.full(length - 100, 30.75), np.full(100, 42.0)]  # of 500, 33
         run = store(tmp_path, "boxing_final", DOUBLE, scores)
@@ -57,7 +57,7 @@ def test_an_agent_has_one_score_wherever_it_is_told(tmp_path):
         assert (found.mean, found.window, found.episodes) == (expected, window_, length)
         assert float(found) == expected
         assert expected in facts(summaries.headline(stored))
-        said = facts(summaries.conclusion(stored).split("\n\n")[0])
+        said = facts(summaries.compared(stored["boxing_final"]))
         assert said[:4] == [length - window_ + 1, length, "Double DQN", expected]
         (line,) = [
             one for one in lines(summaries.reading(stored, "boxing_final")) if "- Double" in one
@@ -88,10 +88,12 @@ def test_the_claims_that_are_judged_are_counted_by_verdict(tmp_path):
     assert len(re.findall(r"^Claims with", said, re.MULTILINE)) == 2, "and none that is open"
 
 
-def test_the_conclusion_gives_each_games_agents_the_best_first_and_its_human_score(tmp_path):
+def test_agents_are_compared_the_best_first_and_with_their_games_human_score(tmp_path):
     boxing(tmp_path, {DQN: 80.0, DOUBLE: 90.0, DUELING: 85.0})
     stored = boxing(tmp_path, {DQN: 36.0, DOUBLE: 15.0, DUELING: 21.0}, "breakout_final")
-    first, second, *_ = summaries.conclusion(stored).split("\n\n")
+    first, second = (
+        summaries.compared(stored[name]) for name in ("boxing_final", "breakout_final")
+    )
     ranked = [("Double DQN", 90), ("Dueling Double DQN", 85), ("DQN", 80)]
     told = [2501, 3000, *(one for pair in ranked for one in pair)]
     assert facts(first)[:9] == [*told, 12.1]
@@ -236,7 +238,7 @@ def test_a_reading_puts_the_source_reports_scores_beside_ours_at_the_last_common
         "the source report's: over games 501 to 1,000, DQN 60.0 and 51.6; over games 1 to 500, "
         "Double DQN 20.0 and 29.0 (see @sec-why)."
     )
-    for text in (summaries.reading(stored, "boxing_final"), summaries.conclusion(stored)):
+    for text in (summaries.reading(stored, "boxing_final"), summaries.headline(stored)):
         assert expected in text
 
 
@@ -248,7 +250,7 @@ def test_an_agent_that_has_just_begun_is_named_and_compared_with_nobody(tmp_path
     headline = summaries.headline(stored)
     assert "After 600 games of Boxing each, Double DQN scores 9.0 points per game" in headline
     assert "and DQN 5.0 (mean of the last 100 games" in headline
-    said = summaries.conclusion(stored)
+    said = summaries.compared(stored["boxing_final"])
     told = "Over training games 501 to 600 of Boxing, Double DQN scored 9.0 and DQN 5.0 points"
     assert said.startswith(told)
     assert "one human tester: 12.1" in said

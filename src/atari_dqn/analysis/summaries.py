@@ -179,10 +179,9 @@ def compared(section: Section) -> str:
 
 
 def conclusion(study: Study) -> str:
-    """A sentence per game on how the agents compare, and a list of the claims that are judged."""
-    both = (compared(study[name]) for name in ("boxing_final", "breakout_final"))
-    said = [text for text in both if text]
-    if not said:
+    """How the agents compare over several seeds, if there are some, and what the verdicts are."""
+    said = []
+    if not any(standings(study[name]) for name in ("boxing_final", "breakout_final")):
         played, planned = _played(study)
         said.append(
             f"With {played / planned:.1%} of the planned games played, no agent can be called "
