@@ -459,9 +459,11 @@ def show_style_map(section: Section) -> None:
     )
 
 
-def show_places(section: Section) -> None:
-    """Where both boxers stand in the first and in the last check of greedy play of each agent."""
-    label, found = f"fig-{section.slug}-places", {}
+def show_places(section: Section) -> dict[str, dict[int, np.ndarray]]:
+    """Where both boxers stand in the first and in the last check of greedy play of each agent;
+    returns `styles.stays` of both, by agent and check."""
+    label = f"fig-{section.slug}-places"
+    found: dict[str, dict[int, np.ndarray]] = {}
     for run in section.usable:
         checks = styles.checks(run)
         if run.seed == section.params.seeds[0] and len(checks) > 1:
@@ -469,7 +471,7 @@ def show_places(section: Section) -> None:
             found[run.agent] = {episode: styles.stays(run, episode) for episode in ends}
     if not found:
         show_placeholders(label)
-        return
+        return found
     show_figure(
         plots.places(found),
         label=label,
@@ -479,6 +481,7 @@ def show_places(section: Section) -> None:
         alt="Maps of the ring, a row per agent: the agent and its rival, early and late.",
         data=f"results/runs/{section.params.experiment}/*/*/games.jsonl.zst",
     )
+    return found
 
 
 def _half_way(change: Any) -> str:
