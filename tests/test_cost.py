@@ -53,6 +53,12 @@ def test_hours_are_summed_over_all_stored_runs(tmp_path, shown):
     cost.show_hours(study(tmp_path))
     assert numbers(shown.texts[-1]) == told, "a GPU's hours are not those of a core"
     assert "that saw no GPU" in shown.texts[-1]
+    store(tmp_path, "breakout_early", DQN, np.zeros(7000), sessions=sessions)
+    cost.show_hours(study(tmp_path))
+    total, early = shown.texts[-1].split("\n\n")
+    assert numbers(total)[:2] == [3, 33.5], "the early run's hours are no part of these"
+    assert numbers(early) == [7000, 70.0, 20.5]
+    assert "on a GPU" in early
 
 
 def test_every_stored_run_has_a_row_with_its_state_games_steps_hours_and_origin(tmp_path):
@@ -224,7 +230,7 @@ def test_the_speed_on_a_gpu_is_that_of_the_slowest_and_the_fastest_run(folder, s
     ).to_csv(folder / "gpu.csv", index=False)
     cost.show_gpu()
     (said,) = shown.texts
-    batches = [16, 1, 2, 3, 2]  # cores, runs side by side, emulators, times
+    batches = [16, 2, 1, 2, 3]  # cores, batches, runs side by side, emulators
     # minutes, steps per second of a run, of a batch; how many were lost
     assert numbers(said) == [*batches, 1, 2, 1000, 1500, 1000, 2500, 1, 3]
-    assert "1 of the 3 came home without" in said
+    assert "For 1 of the 3 the state was not brought back" in said

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import zstandard
-from synthetic import AGENTS, FRAMES, lines_of, numbers, store, study
+from synthetic import AGENTS, FRAMES, check, lines_of, numbers, store, study
 
 from atari_dqn.analysis.study import Section
 from atari_dqn.report import offline
@@ -47,11 +47,14 @@ def test_the_curve_of_watching_is_the_mean_of_the_games_after_every_update(
 ):
     monkeypatch.setattr(offline, "FOLDER", str(tmp_path))
     scores = np.arange(3000.0)
-    store(tmp_path, "boxing_final", DOUBLE, scores)
-    section = Section("boxing_final", "full", str(tmp_path), [DOUBLE])
+    epsilon = np.r_[np.full(12, 1.0), np.full(20, 0.56), np.full(2968, 0.1)]
+    run = store(tmp_path, "boxing_final", DOUBLE, scores, epsilon=epsilon)
+    store(tmp_path, "boxing_final", DQN, scores + 5000)  # another run
+    section = Section("boxing_final", "full", str(tmp_path), [DQN, DOUBLE])
     offline.show_watching(section)
     assert "fig-watching" not in shown.figures
-    measured = {"experiment": "boxing_final", "agent": DOUBLE, "transitions": 200_000}
+    measured = {"experiment": "boxing_final", "agent": DOUBLE, "seed": 1}
+    measured["transitions"] = 200_000
     (tmp_path / "records.json").write_text(json.dumps(measured))
     # of the last check's games two have one opening: one piece of evidence, with twice the weight
     games = [(0, 1, -30.0), (0, 2, -10.0), (15000, 1, 2.0), (15000, 2, 3.0), (15000, 2, 7.0)]
@@ -65,8 +68,13 @@ def test_the_curve_of_watching_is_the_mean_of_the_games_after_every_update(
     half = 12.706 * np.std([-4 / 3, 4 / 3], ddof=1) / np.sqrt(2)  # Student's t, 1 degree of freedom
     # 15,000 updates end with 20,000 + 4 * 15,000 steps, 32 games; 200,000 steps are 80
     own, watched = np.mean(scores[12:32]), np.mean(scores[-80:])
-    told = [15000, 4.0, 95, round(4 - half, 1), round(4 + half, 1), own, 20, 15000, watched]
+    told = [15000, 4.0, 95, round(4 - half, 1), round(4 + half, 1), own, 20, 15000, 56, watched]
     assert numbers(shown.texts[-1]) == pytest.approx(told)
+    check(run, np.arange(30.0))
+    more = table.assign(update=table["update"] * 20)  # 20,000 + 4 * 300,000 steps, 488 games
+    more.to_csv(tmp_path / "watching.csv", index=False)
+    offline.show_watching(Section("boxing_final", "full", str(tmp_path), [DQN, DOUBLE]))
+    assert "after game 400 it scored 3.0" in shown.texts[-1], "its latest check by then"
 
 
 def test_the_reader_of_ten_lines_plays_a_game_of_any_difficulty_again():

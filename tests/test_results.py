@@ -277,6 +277,27 @@ def test_the_styles_along_training_have_a_panel_per_measure_and_a_line_per_agent
     assert "#tbl-boxing-final-style .absent" in shown.texts[-1], "three checks are too few"
 
 
+def test_a_game_of_four_openings_shows_the_range_of_their_means_in_place_of_an_interval(
+    tmp_path, shown
+):
+    run = store(tmp_path, "breakout_late", DQN, np.zeros(3000))
+    evaluate(run, games=100)
+    evaluate(run, games=100, add=True, sticky_actions=0.25)
+    section = study(tmp_path)["breakout_late"]
+    results.show_conditions(section)
+    ranges, intervals = (
+        row["95% interval"] for row in shown.tables["tbl-breakout-late-conditions"]
+    )
+    usual = section.final_evaluations.query("sticky_actions == 0")
+    means = usual.groupby("opening").score.mean()
+    assert len(means) == 4
+    assert ranges == f"range {means.min():.1f} to {means.max():.1f}"
+    low, high = numbers(intervals)
+    assert low < 20 < high
+    caption = shown.captions["tbl-breakout-late-conditions"]
+    assert "range is that of the openings" in caption
+
+
 def test_the_style_map_goes_from_the_first_checks_to_the_last(tmp_path, shown):
     run = store(tmp_path, "boxing_final", DQN, np.zeros(1000))
     style(run, np.zeros(10), distance=30.0 + np.arange(10), conceded=[80.0] * 5 + [20.0] * 5)

@@ -6,7 +6,19 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from synthetic import AGENTS, ROOT, TITLES, check, evaluate, facts, numbers, store, study, window
+from synthetic import (
+    AGENTS,
+    ROOT,
+    TITLES,
+    check,
+    evaluate,
+    facts,
+    numbers,
+    store,
+    study,
+    window,
+    windows,
+)
 
 from atari_dqn.analysis import summaries
 from atari_dqn.analysis.claims import FINDINGS
@@ -39,7 +51,7 @@ def test_a_headline_of_runs_in_progress_compares_the_last_hundred_episodes_that_
     store(tmp_path, "boxing_final", DQN, window(701, 800, 6.0, FAR, after=100))
     store(tmp_path, "boxing_final", DOUBLE, window(701, 800, 9.0, -FAR, after=0))
     text = summaries.headline(study(tmp_path))
-    expected = [2, 3, 800, "Double DQN", 9.0, "DQN", 6.0, 100, 100, 12.1, 0.1]
+    expected = [800, "Double DQN", 9.0, "DQN", 6.0, 100, 100, 12.1, 0.1]
     assert facts(text.split("**")[1]) == expected
 
 
@@ -124,8 +136,8 @@ def test_an_agent_is_past_its_early_games_after_five_hundred(tmp_path):
     store(tmp_path, "boxing_final", DQN, np.full(499, 50.0))
     store(tmp_path, "boxing_final", DOUBLE, np.full(500, 7.0))
     text = summaries.headline(study(tmp_path))
-    assert facts(text.split("**")[1]) == [1, 3, 500, "Double DQN", 7.0, 100, 100, 12.1, 0.1]
-    assert "1 of the 3 agents has been trained" in text
+    assert facts(text.split("**")[1]) == [500, "Double DQN", 7.0, 100, 100, 12.1, 0.1]
+    assert "DQN has played only 499 games. Dueling Double DQN has not begun." in text
 
 
 def lines(text):
@@ -267,6 +279,24 @@ def test_a_second_seed_that_has_just_begun_takes_nothing_from_the_first(tmp_path
     section.__dict__["episodes"] = pd.concat([section.episodes, second])
     headline = summaries.headline(stored)
     assert "After 700 games of Boxing, DQN scores 5.0 points per game (mean" in headline
+
+
+def test_finished_agents_come_first_and_an_unfinished_one_stands_beside_them_at_its_own_games(
+    tmp_path,
+):
+    for name, human in (("boxing_final", 12.1), ("breakout_final", 30.5)):
+        for agent, early, end in ((DQN, 30.0, 80.0), (DOUBLE, 20.0, 90.0)):
+            means = {(601, 700): early, (2501, 3000): end}
+            store(tmp_path, name, agent, windows(means, FAR, after=0))
+        store(tmp_path, name, DUELING, window(601, 700, 95.0, FAR, after=0))
+        said = facts(summaries.compared(study(tmp_path)[name]))
+        first = [2501, 3000, "Double DQN", 90, "DQN", 80, human]
+        assert said[:7] == first
+        assert said[7:15] == ["Dueling Double DQN", 601, 700, 95, "DQN", 30, "Double DQN", 20]
+    text = summaries.headline(study(tmp_path))
+    expected = [3000, "Double DQN", 90.0, "DQN", 80.0, 500, 100, 12.1, 0.1]
+    assert facts(text.split("**")[1]) == expected
+    assert facts(text.split("**")[2])[:4] == ["Dueling Double DQN", 601, 700, 95]
 
 
 def test_finished_runs_are_told_of_as_finished(tmp_path):

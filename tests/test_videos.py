@@ -84,4 +84,4 @@ def test_a_knock_out_is_one_that_the_agent_gives(tmp_path, recorded):
     assert recorded.played["network"] == (DOUBLE, 700)
     assert recorded.played["game"] == 2
     assert recorded.played["seconds"] == (-15, None)
-    assert facts(recorded.captions["vid-knockout"]) == ["Double DQN", 700, 15, 2, -7]
+    assert facts(recorded.captions["vid-knockout"]) == ["Double DQN", 700, 15, 2, -7, 100]

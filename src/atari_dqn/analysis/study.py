@@ -58,6 +58,9 @@ def spelled(variation: str) -> str:
     return variation
 
 
+FEW_OPENINGS = 4  # as in Breakout: all of them are played, and no other could be
+
+
 def openings(games: pd.DataFrame, parameters: Parameters) -> list[int]:
     """The openings of evaluation games (columns seed, game, sticky_actions and epsilon), by the
     idle frames that `evaluation.EpisodeInProgress` draws. Games of one opening resemble one

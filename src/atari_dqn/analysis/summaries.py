@@ -93,11 +93,14 @@ class Standings:
 
 
 def standings(section: Section) -> Standings | None:
-    """The agents that have a score, over the last episodes that all of these have played."""
+    """The finished agents, or if there is none, all that have a score, over the last episodes that
+    each of these has played."""
     found = {agent: score(section, agent) for agent in section.params.agents}
     there = {agent: one for agent, one in found.items() if one is not None}
     if not there:
         return None
+    planned = section.params.episodes
+    there = {agent: one for agent, one in there.items() if one.episodes >= planned} or there
     last = min(one.episodes for one in there.values())
     first = last - min(one.window for one in there.values()) + 1
     means = {params.title(agent): section.scores(agent, first, last).mean() for agent in there}
@@ -121,22 +124,20 @@ def headline(study: Study) -> str:
         verb = "has" if judged.sum() == 1 else "have"
         so_far = " so far" if judged.sum() < testable else ""
         claims += f"; {judged.sum()} {verb} been judged{so_far} ({counted})."
-    parts = (f"**{text}**", beside_source(section), compared(study["breakout_final"]), claims)
-    return " ".join(filter(None, parts))
+    others = _others(section, found) if found else ""
+    breakout = compared(study["breakout_final"])
+    return " ".join(filter(None, (f"**{text}**", others, beside_source(section), breakout, claims)))
 
 
 def _scored(section: Section, found: Standings) -> str:
     """What the agents of an experiment score, between the best, a human and random play."""
-    planned, facts = len(section.params.agents), section.facts
-    trained, few = len(found.means), len(found.means) < planned
-    verb = "has" if trained == 1 else "have"
-    text = f"In {facts.title}, {trained} of the {planned} agents {verb} been trained. " * few
+    facts = section.facts
     (best, top), *others = found.means.items()
     said = [f"{best} scores {top:.1f} points per game"]
     said += [f"{agent} {mean:.1f}" for agent, mean in others]
     each = " each" * bool(others)
     return (
-        f"{text}After {found.last:,} games of {facts.title}{each}, {_in_a_row(said)} (mean of the "
+        f"After {found.last:,} games of {facts.title}{each}, {_in_a_row(said)} (mean of the "
         f"last {found.last - found.first + 1} games; best possible {KNOCK_OUT}; one human tester "
         f"{facts.human:g}; random play {facts.random:g})."
     )
@@ -169,13 +170,33 @@ def compared(section: Section) -> str:
         f"Over {found.episodes} of {section.facts.title}, {found.listed} points per game (one "
         f"human tester: {section.facts.human:g})."
     )
-    played = section.episodes.groupby("agent").episode.max().rename(index=params.title)
-    for agent in map(params.title, section.params.agents):
+    return " ".join(filter(None, (text, _others(section, found), beside_source(section))))
+
+
+def _others(section: Section, found: Standings) -> str:
+    """How far the agents are that are not among the standings, and what they score beside these."""
+    said = []
+    played = section.episodes.groupby("agent").episode.max()
+    for agent in section.params.agents:
+        name, own = params.title(agent), score(section, agent)
+        if name in found.means:
+            continue
         if agent not in played:
-            text += f" {agent} has not begun."
-        elif agent not in found.means:
-            text += f" {agent} has played only {played[agent]:,} games."
-    return f"{text} {beside_source(section)}".strip()
+            said.append(f"{name} has not begun.")
+        elif own is None:
+            said.append(f"{name} has played only {played[agent]:,} games.")
+        else:
+            first, last = own.episodes - own.window + 1, own.episodes
+            others = [
+                f"{params.title(other)} {section.scores(other, first, last).mean():.1f}"
+                for other in section.params.agents
+                if params.title(other) in found.means
+            ]
+            said.append(
+                f"{name} is unfinished: over games {first:,} to {last:,} it scored "
+                f"{float(own):.1f}, and over the same games {_in_a_row(others)}."
+            )
+    return " ".join(said)
 
 
 def conclusion(study: Study) -> str:
@@ -349,11 +370,11 @@ def neighbours(study: Study) -> str:
         ceiling = f", the most that {number} blocks can show"
         more = ", or less if the true correlation is higher"
     return (
-        f"Between successive blocks of {BLOCK} training games the correlation is measured in "
-        f"{len(found)} stretches of our runs: its median is {middle:.2f}, its highest value "
-        f"{most:.2f}{ceiling}. An interval that is said to hold the mean in 95% of cases does so "
-        f"in {coverage(middle, fewest):.0%} at that median ({fewest} blocks, simulated) and in "
-        f"{coverage(most, number):.0%} at the highest value ({number} blocks){more}."
+        f"How alike are neighbouring blocks of {BLOCK} training games? In "
+        f"{len(found)} stretches of our runs the correlation has a median of {middle:.2f}, and its "
+        f"highest value is {most:.2f}{ceiling}. Simulated, an interval that is meant to hold the "
+        f"mean in 95% of cases does so in {coverage(middle, fewest):.0%} at that median ({fewest} "
+        f"blocks) and in {coverage(most, number):.0%} at the highest value ({number} blocks){more}."
     )
 
 

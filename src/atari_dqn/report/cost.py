@@ -131,15 +131,16 @@ def show_gpu() -> None:
     together, machine = batches.speed.sum(), runs.iloc[0]
     lost = int((~runs.came_home).sum())
     show_text(
-        f"On an {machine.gpu}, with {machine.cores} processor cores, {_range(batches.size())} runs "
-        f"went side by side, {_range(runs.emulator_processes)} emulator processes each, "
-        f"{batches.ngroups} times, for {_range((runs.seconds / 60).round())} minutes. They made "
+        f"On an {machine.gpu}, with {machine.cores} processor cores, {batches.ngroups} batches of "
+        f"{_range(batches.size())} runs were trained side by side, with "
+        f"{_range(runs.emulator_processes)} emulator processes each, for "
+        f"{_range((runs.seconds / 60).round())} minutes. They made "
         f"{_range(runs.speed)} agent steps per second each, {_range(together)} together. What was "
         "left of a run was done on one processor core (@tbl-provenance), with the images of its "
         "replay memory played again from the records of its games."
         + (
-            f" {lost} of the {len(runs)} came home without their state and were resumed from an "
-            "earlier checkpoint."
+            f" For {lost} of the {len(runs)} the state was not brought back, and they were resumed "
+            "from an earlier checkpoint."
             if lost
             else ""
         )
@@ -265,8 +266,10 @@ def show_hours(study: Study) -> None:
     theirs = data("source_report")
     if early.complete and early.params.profile == "full":
         ours = early.episodes.seconds.max() / 3600
+        where = " on a GPU, shared with other runs" if early.on_gpu else ""
         text += (
-            f" The {early.params.episodes:,} games of the early Breakout run took {ours:.1f} of "
-            f"them; the source report's took over {theirs['early_breakout_hours']} hours."
+            f"\n\nThe {early.params.episodes:,} games of the early Breakout run took {ours:.1f} "
+            f"hours{where}; the source report's took over {theirs['early_breakout_hours']} on a "
+            "laptop. The two do not compare: machines, updates per step and games' lengths differ."
         )
     show_text(text)

@@ -101,21 +101,34 @@ def show_watching(section: Section) -> None:
         data="benchmarks/watching.csv",
     )
     last = games["update"].max()
-    own, watched = _player(section, measured, last)
+    own, watched = _played(section, measured, last)
+    checked = ""
+    if not section.values.empty:
+        greedy = _of_player(section.values, measured)
+        greedy = greedy[greedy.episode <= own.episode.max()].tail(1)
+        checked = "".join(
+            f" In its own greedy games after game {row.episode:,} it scored {row.score:.1f}."
+            for row in greedy.itertuples()
+        )
+    scored, at_random = own.score.mean(), own.epsilon.mean()
     show_text(
         f"After {last:,} updates it scores {checks.mean().iloc[-1]:.1f} (95% interval "
-        f"{low[-1]:.1f} to {high[-1]:.1f}). The agent that played had scored {own:.1f} in the "
-        f"{WINDOW} games up to its own update {last:,}, still playing at random at times; the "
-        f"games that are watched score {watched:.1f} on average."
+        f"{low[-1]:.1f} to {high[-1]:.1f}). The agent that played had scored {scored:.1f} in the "
+        f"{WINDOW} games up to its own update {last:,}, with {at_random:.0%} of its actions "
+        f"random.{checked} The games that are watched score {watched.score.mean():.1f} on "
+        "average."
     )
 
 
-def _player(section: Section, measured: dict, updates: int) -> tuple[float, float]:
-    """The mean scores of the one that played: of its games up to so many updates, and of those
-    whose transitions are watched."""
-    of_agent = (section.episodes.agent == measured["agent"]) & (section.episodes.seed == 1)
-    played, params = section.episodes[of_agent], section.params
+def _of_player(table: pd.DataFrame, measured: dict) -> pd.DataFrame:
+    """The rows of the run that is watched."""
+    return table[(table.agent == measured["agent"]) & (table.seed == measured["seed"])]
+
+
+def _played(section: Section, measured: dict, updates: int) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """The last games of the one that played up to so many updates, and those whose transitions are
+    watched."""
+    played, params = _of_player(section.episodes, measured), section.params
     then = played.agent_steps <= params.learning_starts + updates * params.update_period
     first = played.agent_steps.max() - measured["transitions"]
-    newest = played[played.agent_steps > first]
-    return float(played[then].score.tail(WINDOW).mean()), float(newest.score.mean())
+    return played[then].tail(WINDOW), played[played.agent_steps > first]

@@ -27,7 +27,7 @@ from scipy import stats
 
 from atari_dqn import params
 from atari_dqn.analysis.statistics import cluster_interval, trailing_mean
-from atari_dqn.analysis.study import spelled
+from atari_dqn.analysis.study import FEW_OPENINGS, spelled
 from atari_dqn.envs import SIZE, AtariEnv
 from atari_dqn.games import GAMES, GameFacts
 from atari_dqn.report.interactive import BESIDE, named
@@ -447,7 +447,7 @@ def places(stays: Mapping[str, Mapping[int, np.ndarray]]) -> Figure:
 
 def score_distributions(evaluations: pd.DataFrame, facts: GameFacts | None) -> Figure:
     """The scores of the evaluation episodes, a row of dots per agent, with each run's mean and the
-    95% interval of it over its episodes; `facts` None leaves `references` out."""
+    95% interval of it over openings, unless these are few; `facts` None leaves `references` out."""
     agents = agents_of(evaluations)
     figure, axes = plt.subplots(figsize=(WIDTH, 0.9 + 0.65 * len(agents)))
     rng = np.random.default_rng(0)
@@ -460,7 +460,7 @@ def score_distributions(evaluations: pd.DataFrame, facts: GameFacts | None) -> F
             dots = {"ms": 3.2, "alpha": 0.4, "mew": 0, "color": STYLES[agent].colour}
             axes.plot(scores, heights, "o", **dots)
             mean = scores.mean()
-            if run.opening.nunique() > 1:
+            if run.opening.nunique() > FEW_OPENINGS:
                 spread_of_mean = cluster_interval(scores, run.opening.to_numpy())
                 axes.plot(spread_of_mean, [y, y], color=INK, lw=2.2, solid_capstyle="butt")
             axes.plot(mean, y, "D", ms=6, color=STYLES[agent].colour, mec=INK, mew=1.2, zorder=4)

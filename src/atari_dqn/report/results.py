@@ -14,7 +14,14 @@ from atari_dqn.analysis.statistics import (
     interval,
     scores_at_milestones,
 )
-from atari_dqn.analysis.study import FRAMES_PER_MINUTE, Section, data, openings, spelled
+from atari_dqn.analysis.study import (
+    FEW_OPENINGS,
+    FRAMES_PER_MINUTE,
+    Section,
+    data,
+    openings,
+    spelled,
+)
 from atari_dqn.games import KNOCK_OUT
 from atari_dqn.params import HELD_OUT_STATES, VALUE_GAMES, VALUES_PERIOD
 from atari_dqn.report import plots
@@ -207,7 +214,7 @@ def show_evaluations(section: Section) -> None:
         label=figure,
         caption=f"{section.title}: scores of the evaluation games "
         f"({games} per run; {p.evaluation_epsilon:.1%} of the actions are random). Diamonds: the "
-        "mean of each run, with its 95% interval (Student's t over openings).",
+        "mean of each run, with its 95% interval (Student's t) over openings if these are many.",
         alt=f"Dots for each agent's evaluation scores in {section.facts.title}, and their means.",
         data=section.origin + "evaluations.csv",
     )
@@ -221,9 +228,8 @@ def show_evaluations(section: Section) -> None:
     show_table(
         pd.DataFrame(rows).astype({"seed": "Int64", "training games": "Int64"}),
         label=table,
-        caption=f"{section.title}: evaluation games at difficulty "
-        f"{p.difficulty}. The interval is over the openings of a run's games (Student's t), not "
-        "over seeds.",
+        caption=f"{section.title}: evaluation games at difficulty {p.difficulty}. "
+        f"{_about_intervals(section)}",
         decimals=1,
     )
 
@@ -253,8 +259,7 @@ def show_conditions(section: Section) -> None:
         label=label,
         caption=f"{section.title}: evaluation games, also under conditions "
         f"other than those of training, which were difficulty {p.difficulty} and a probability "
-        f"of sticky actions of {p.sticky_actions:g}. "
-        "Intervals are over openings.",
+        f"of sticky actions of {p.sticky_actions:g}. {_about_intervals(section)}",
         decimals=1,
     )
 
@@ -296,10 +301,24 @@ def _evaluated(section: Section, agent: str, seed: int, games: pd.DataFrame) -> 
 
 
 def _interval(games: pd.DataFrame) -> str:
-    """Of the mean score of games (columns score and opening); a dash for a single opening."""
+    """Of the mean score of games (columns score and opening); a dash for a single opening, and of
+    few openings, all of which are played, the range of their means."""
     if games.opening.nunique() < 2:
         return "–"
+    if games.opening.nunique() <= FEW_OPENINGS:
+        means = games.groupby("opening").score.mean()
+        return f"range {means.min():.1f} to {means.max():.1f}"
     return "{:.1f} to {:.1f}".format(*cluster_interval(games.score, games.opening))
+
+
+def _about_intervals(section: Section) -> str:
+    """What `_interval` gives, as captions tell it."""
+    if section.facts.idle_cycle is None:
+        return "Intervals are over openings (Student's t), not over seeds."
+    return (
+        "A range is that of the openings' means; the intervals with sticky actions are over games "
+        "(Student's t), not over seeds."
+    )
 
 
 def _summary(section: Section, games: pd.DataFrame) -> dict:
@@ -536,7 +555,7 @@ def show_robustness(section: Section) -> None:
         caption=f"{section.title}: greedy games of finished agents under "
         "conditions that they were trained for (first) and that they were not. A frozen scoreboard "
         "shows score and clock, or lives, as in a game's first picture. The best evaluation game's "
-        "moves are made in every other opening. Intervals are over openings.",
+        f"moves are made in every other opening. {_about_intervals(section)}",
         decimals=1,
     )
     games, steps = OPENINGS
@@ -546,9 +565,9 @@ def show_robustness(section: Section) -> None:
         if run.robustness.exists()
     ]
     show_text(
-        f"Of the last {games} training games of {section.facts.title}, so many begin with the same "
-        f"{steps} steps, action for action, as another: {', '.join(said)}. Little would follow "
-        "from none: the weights change from game to game, and some moves are random."
+        f"The share of the last {games} training games of {section.facts.title} whose first "
+        f"{steps} actions are also those of another of them: {', '.join(said)}. This alone proves "
+        "little, since the weights change from game to game, and some moves are random."
     )
 
 

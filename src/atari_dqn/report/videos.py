@@ -9,6 +9,7 @@ from torch import nn
 from atari_dqn import params
 from atari_dqn.agents import AGENTS
 from atari_dqn.analysis.study import Section
+from atari_dqn.games import KNOCK_OUT
 from atari_dqn.report.outputs import show_absent, show_placeholders, show_video
 from atari_dqn.report.video import Video, play_with_instruments, side_by_side
 from atari_dqn.runs import models
@@ -140,7 +141,8 @@ def show_knockout(section: Section, label: str) -> None:
         video,
         label=label,
         caption=f"A knock-out by {params.title(run.agent)} after {games:,} training games: the "
-        f"last 15 seconds of evaluation game {number}, which ends with {_scored(video)}. {MIND} "
+        f"last 15 seconds of evaluation game {number}, which ends with a score of "
+        f"{_scored(video)}: {KNOCK_OUT} less the rival's. {MIND} "
         f"{TRACE}",
         alt=ALT.format("a knock-out"),
         data=run.name,
