@@ -267,6 +267,19 @@ def test_a_second_seed_that_has_just_begun_takes_nothing_from_the_first(tmp_path
     assert "After 700 games of Boxing, DQN scores 5.0 points per game (mean" in headline
 
 
+@pytest.mark.parametrize(
+    ("lengths", "window_"), [((700, 600), 100), ((3000, 2999), 100), ((3000, 3000), 500)]
+)
+def test_of_several_seeds_the_one_that_has_played_fewest_says_how_far_they_are(
+    tmp_path, lengths, window_
+):
+    for seed, length in enumerate(lengths, start=1):
+        store(tmp_path, "boxing_final", DQN, np.zeros(length), seed=seed)
+    section = Section("boxing_final", "full", str(tmp_path), [DQN], [1, 2])
+    found = summaries.score(section, DQN)
+    assert (found.episodes, found.window) == (min(lengths), window_)
+
+
 def test_finished_runs_are_told_of_as_finished(tmp_path):
     for agent, mean in (("dqn", 80.0), ("double_dqn", 90.0), ("dueling_double_dqn", 85.0)):
         run = store(tmp_path, "boxing_final", agent, np.full(3000, mean))
