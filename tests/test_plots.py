@@ -334,9 +334,9 @@ def test_evaluation_scores_stand_beside_their_agent(tmp_path, shown):
 
 
 def test_each_run_of_an_agent_has_its_own_mean(tmp_path, shown):
-    for seed, mean, games in ((1, 10.0, 40), (2, 50.0, 30)):
+    for seed, mean, played in ((1, 10.0, 40), (2, 50.0, 30)):
         run = store(tmp_path, "boxing_final", DQN, np.zeros(300), seed=seed)
-        evaluate(run, score=mean, games=games)
+        evaluate(run, score=mean, games=played)
     results.show_evaluations(Section("boxing_final", "full", str(tmp_path), [DQN], [1, 2]))
     (axes,) = shown.figures["fig-boxing-final-evaluation"].axes
     found = [line.get_data() for line in axes.get_lines() if line.get_marker() == "D"]

@@ -575,4 +575,3 @@ def test_endings_are_shown_for_each_milestone_with_the_games_that_they_are_of(tm
         {"agent": "DQN", "measure": "net points per minute", "500": "35", "1000": "160"},
     ]
     assert numbers(shown.captions["tbl-boxing-final-endings"]) == [500]
-

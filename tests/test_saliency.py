@@ -7,6 +7,7 @@ from synthetic import store
 from torch import nn
 
 from atari_dqn.envs import EpisodeRecord
+from atari_dqn.networks import DuelingNetwork
 from atari_dqn.report import saliency
 from atari_dqn.runs import records
 from atari_dqn.runs.dataset import Trajectory
@@ -46,6 +47,42 @@ def test_each_map_is_brightest_where_its_values_come_from(value, advantage):
 def test_a_blur_changes_nothing_in_an_even_picture():
     found = saliency.saliency(Looks((10, 70), (62, 18)), np.full((84, 84, 4), 90, np.uint8))
     assert max(found.value.max(), found.advantages.max()) < 1e-3
+
+
+def test_every_map_is_drawn_under_the_name_of_what_it_shows():
+    """Of two networks, the second with the places of the first the other way round."""
+    value, advantage = (10, 70), (62, 18)
+    networks = {"one": Looks(value, advantage), "other": Looks(advantage, value)}
+    observation = np.random.default_rng(0).integers(0, 255, (84, 84, 4)).astype(np.uint8)
+    seen, *panels = saliency.figure({"half": observation}, networks).axes
+    assert (seen.get_images()[0].get_array() == observation[..., -1]).all(), "the newest image"
+    found = {}
+    for axes in panels:
+        heat = axes.get_images()[-1].get_array()
+        brightest = np.unravel_index(heat.argmax(), heat.shape)
+        found[axes.get_title()] = [saliency.STRIDE * place + 2 for place in brightest]
+    near = {name: pytest.approx(place, abs=4) for name, place in (("v", value), ("a", advantage))}
+    assert found == {
+        **{"one\nvalue": near["v"], "one\nadvantages": near["a"]},
+        **{"other\nvalue": near["a"], "other\nadvantages": near["v"]},
+    }
+
+
+def test_a_filter_is_a_column_with_the_oldest_image_at_the_top():
+    network = DuelingNetwork(4, 6)
+    with torch.no_grad():
+        for image in range(4):  # the newest is the last
+            network.convolutions[0].weight[:, image] = image + 1
+        network.convolutions[0].weight[7] *= -0.5
+    (axes,) = saliency.filters_figure({"any": network}).axes
+    (sheet,) = axes.get_images()
+    high, wide = sheet.get_array().shape
+    middles = sheet.get_array()[high // 8 :: high // 4, wide // 64 :: wide // 32]
+    assert middles[:, 0].tolist() == [0.25, 0.5, 0.75, 1]
+    assert middles[:, 7].tolist() == [-0.25, -0.5, -0.75, -1]
+    below, above = axes.get_ylim()
+    assert below > above, "the first row is drawn at the top"
+    assert axes.get_title(loc="left") == "any"
 
 
 def test_an_observation_is_the_newest_images_with_the_first_before_the_beginning():
