@@ -311,6 +311,7 @@ def test_the_styles_along_training_have_a_panel_per_measure_and_a_line_per_agent
     words = ("distance", "reach", "punches", "per punch", "scored", "conceded")
     assert all(word in title for word, title in zip(words, titles, strict=True))
     assert "#tbl-boxing-final-style .absent" in shown.texts[-1], "three checks are too few"
+    assert numbers(shown.captions["fig-boxing-final-style"]) == [20, 100], "greedy, training games"
 
 
 def test_balls_of_breakout_are_told_by_their_speed_and_by_where_they_are_lost(tmp_path, shown):
@@ -414,6 +415,7 @@ def test_a_change_of_style_is_told_with_the_games_after_which_half_of_it_is_done
     assert low < 0 < high
     low, high = numbers(rows["points scored per minute"]["change (95%)"])
     assert 0 < low < 20 < high, "from 20 to 40"
+    assert numbers(shown.captions["tbl-boxing-final-style"]) == [5], "checks at either end"
 
 
 def test_what_there_was_nothing_of_at_first_has_no_change(tmp_path, shown):
