@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 import torch
 from safetensors.torch import load_file
+from synthetic import check, evaluate, store
 
 from atari_dqn import evaluation, params
 from atari_dqn.envs import AtariEnv
@@ -162,6 +163,21 @@ def test_the_list_is_the_same_every_time_and_renews_only_what_changed(tmp_path, 
     catalogue.write("full", tmp_path, tmp_path)
     assert not video.exists()
     assert linked(tmp_path, listed(tmp_path)[0]["video"]).name.startswith("00002-")
+
+
+def test_greedy_games_are_of_the_last_check_or_else_of_the_newest_model_that_was_evaluated(
+    tmp_path,
+):
+    run = store(tmp_path, "boxing_final", "dqn", np.zeros(300))
+    assert catalogue.greedy_play(run) is None
+    check(run, [1.0, 2.0, 3.0])
+    found = catalogue.greedy_play(run)
+    assert (found.trained, found.episodes, found.score) == (300, params.VALUE_GAMES, 3.0)
+    for trained, games, score in ((200, 30, 70.0), (250, 10, 20.0)):
+        evaluate(run, games=games, trained=trained, add=trained > 200, score=score)
+    evaluate(run, games=10, trained=250, add=True, difficulty=3, score=-50.0)
+    found = catalogue.greedy_play(run)
+    assert (found.trained, found.episodes, found.score) == (250, 10, pytest.approx(20.0))
 
 
 def test_a_run_in_progress_is_listed_with_its_last_check(tmp_path, small, monkeypatch):

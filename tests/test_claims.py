@@ -587,8 +587,10 @@ def test_what_agents_do_of_whom_a_claim_says_nothing_changes_nothing(tmp_path, n
     lengths = {place.split("/")[0]: len(stored.scores) for place, stored in case.true.items()}
     for place in sorted(others - set(case.true)):
         length = lengths[place.split("/")[0]]
-        loud = checked(length, score=np.full(length // 100, LOUD))
-        replace(loud, greedy=dict.fromkeys(SPREAD, LOUD)).put(tmp_path, place)
+        loud = np.full(length // 100, LOUD)
+        styles = {"score": loud, "conceded": loud, "distance": loud}
+        every = replace(checked(length, score=loud), greedy=dict.fromkeys(SPREAD, LOUD))
+        replace(every, styles=styles).put(tmp_path, place)
     assert judged(tmp_path, case) == expected
 
 

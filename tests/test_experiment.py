@@ -5,6 +5,7 @@ import re
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from synthetic import numbers, store
 
 from atari_dqn import params
 from atari_dqn.params import ParameterError
@@ -125,6 +126,14 @@ def test_a_run_is_shown_beside_the_stored_ones_of_its_experiment(stored, shown):
     row = rows["Double DQN, +0123abcd, seed 1"]
     assert (row["games"], row["greedy"]) == ("3", f"{greedy:.1f}")
     assert rows["human tester"]["greedy"] == "12.1"
+    assert rows["random play"]["greedy"] == "0.1"
+    assert numbers(shown.captions["tbl-scores"]) == [100]
+
+
+def test_a_training_score_is_the_mean_of_the_last_hundred_games(tmp_path):
+    run = store(tmp_path, "boxing_final", "dqn", np.repeat([0.0, 7.0], [50, 100]))
+    row = experiment._row("any", run)
+    assert (row["games"], row["training"], row["greedy"]) == (150, 7.0, None)
 
 
 def test_the_source_reports_figures_stand_beside_an_experiment_of_its_own(tmp_path):

@@ -63,6 +63,7 @@ def test_the_curve_of_watching_is_the_mean_of_the_games_after_every_update(
     offline.show_watching(section)
     (axes,) = shown.figures["fig-watching"].axes
     assert ([0, 15], [-20, 4]) in lines_of(axes)
+    assert axes.get_xlabel() == "thousand updates"
     assert numbers(shown.captions["fig-watching"])[:2] == [200_000, 2]
     # means 2 and 5 of one and two games lie (2 - 4) * 1 / 1.5 and (5 - 4) * 2 / 1.5 from 4
     half = 12.706 * np.std([-4 / 3, 4 / 3], ddof=1) / np.sqrt(2)  # Student's t, 1 degree of freedom

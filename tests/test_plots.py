@@ -226,6 +226,7 @@ def test_discounts_are_each_the_curve_of_their_own_experiment(tmp_path, shown):
     for ((xs, ys),), times in zip(named.values(), slopes.values(), strict=True):
         assert xs == pytest.approx(games)
         assert ys == pytest.approx(times * (games - 16))
+    assert axes.get_xlabel() == "training games"
     assert numbers(axes.get_ylabel()) == [33]
     assert numbers(shown.captions["fig-discounts"]) == [33]
     assert "Dueling Double DQN" in shown.captions["fig-discounts"]
@@ -267,6 +268,7 @@ def test_predicted_realised_and_held_out_values_are_told_apart_by_their_lines(tm
         looks = {(line.get_marker(), str(line.get_markerfacecolor())) for line in lines.values()}
         assert len(looks) == 3
         assert axes.get_xlabel() == "training games"
+    assert panels[0].get_ylabel() == "value of a state"
     caption = shown.captions["fig-boxing-final-values"]
     told = ["predicts", "(dots)", "return that followed", "(grey circles)", "overestimates"]
     assert sorted(told, key=caption.index) == told
@@ -332,14 +334,16 @@ def test_evaluation_scores_stand_beside_their_agent(tmp_path, shown):
 
 
 def test_each_run_of_an_agent_has_its_own_mean(tmp_path, shown):
-    for seed, mean in ((1, 10.0), (2, 50.0)):
-        evaluate(store(tmp_path, "boxing_final", DQN, np.zeros(300), seed=seed), score=mean)
+    for seed, mean, played in ((1, 10.0, 40), (2, 50.0, 30)):
+        run = store(tmp_path, "boxing_final", DQN, np.zeros(300), seed=seed)
+        evaluate(run, score=mean, games=played)
     results.show_evaluations(Section("boxing_final", "full", str(tmp_path), [DQN], [1, 2]))
     (axes,) = shown.figures["fig-boxing-final-evaluation"].axes
     found = [line.get_data() for line in axes.get_lines() if line.get_marker() == "D"]
     assert [xs.item() for xs, _ in map(np.asarray, found)] == pytest.approx([10.0, 50.0])
     heights = [float(np.asarray(ys).item()) for _, ys in found]
     assert abs(heights[0] - heights[1]) > 0.2
+    assert numbers(shown.captions["fig-boxing-final-evaluation"])[0] == 30, "the fewest"
 
 
 def test_smoothing_never_mixes_seeds_agents_or_variations():

@@ -68,7 +68,10 @@ def test_the_punches_of_a_game_add_up_to_its_score(monkeypatch):
         for points in (1, 2)
     }
     assert all((pictures[points] == picture).all() for points, (_, picture) in first.items())
-    assert len(ram.frames_figure(pictures).axes) == 2
+    drawn = {axes.get_title(): axes.get_images()[0] for axes in ram.frames_figure(pictures).axes}
+    assert list(drawn) == ["1 point", "2 points"]
+    for image, picture in zip(drawn.values(), (pictures[1], pictures[2]), strict=True):
+        assert (image.get_array() == picture[:, 8:]).all()
 
 
 def test_the_stored_punches_score_two_exactly_where_the_arm_is_bent():
@@ -87,11 +90,20 @@ def test_the_summary_of_punches_counts_each_boxers_and_their_extremes():
         ]
     )
     table = ram.summary(punches).set_index(["boxer", "points"])
-    assert table.loc[("agent", 1)].tolist() == [2, 56, 64, 23, 26, 12]
-    assert table.loc[("computer", 2)].tolist() == [1, 40, 40, 12, 12, 16]
+    assert table.loc[("agent", 1)].to_dict() == {
+        **{"punches": 2, "arm, least": 56, "arm, most": 64},
+        **{"horizontal, median": 23, "horizontal, most": 26, "vertical, median": 12},
+    }
+    assert table.loc[("computer", 2)].to_dict() == {
+        **{"punches": 1, "arm, least": 40, "arm, most": 40},
+        **{"horizontal, median": 12, "horizontal, most": 12, "vertical, median": 16},
+    }
     left, right = ram.punches_figure(punches).axes
     assert sum(bar.get_height() for bar in left.patches) == 3
-    assert len(right.collections[0].get_offsets()) == 3
+    assert "the arm" in left.get_xlabel()
+    assert sorted(right.collections[0].get_offsets().tolist()) == [[12, 16], [20, 10], [26, 14]]
+    assert "horizontal" in right.get_xlabel()
+    assert "vertical" in right.get_ylabel()
 
 
 def test_the_same_actions_repeat_a_game_unless_actions_stick():

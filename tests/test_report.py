@@ -15,7 +15,7 @@ import papermill
 import pytest
 
 from atari_dqn import params
-from atari_dqn.report import build, execution, notebook
+from atari_dqn.report import build, crossrefs, execution, notebook
 from atari_dqn.runs import plan, recorder
 from atari_dqn.runs.files import RunError, write_atomically
 
@@ -64,6 +64,51 @@ def test_text_about_runs_that_have_not_begun_is_left_out_and_an_abstract_is_one(
     for text in (waiting, begun):
         assert "::: {.abstract}\nWhat it is.\n:::" in text
         assert "\nElse.\n" in text
+
+
+def test_a_new_section_is_found_and_what_it_shows_is_numbered(tmp_path, monkeypatch):
+    """By the steps that CONTRIBUTING.md gives, in a project of no other sections."""
+    folder, made = tmp_path / "notebooks", tmp_path / "made"
+    for path in (tmp_path / "params", folder, made):
+        path.mkdir()
+    (tmp_path / "pyproject.toml").touch()
+    monkeypatch.chdir(tmp_path)
+    text, code = nbformat.v4.new_markdown_cell, nbformat.v4.new_code_cell
+    needs = {"tags": ["needs:boxing_expert"]}
+    copied = nbformat.read(ROOT / "notebooks" / "05_boxing_expert.ipynb", as_version=4)
+    copied.cells = [
+        text("# New <!-- {#sec-new} -->\n\nSee [Figure 9](#fig-new) and [below](#tbl-new)."),
+        copied.cells[1],  # its parameters
+        code(
+            "import pandas as pd\nfrom matplotlib import pyplot as plt\n"
+            "from atari_dqn.report import outputs\n\noutputs.start()\n"
+            "figure, axes = plt.subplots()\naxes.plot([1, 2], [3, 4])\n"
+            "outputs.show_figure(figure, 'fig-new', 'It rises.', 'A line from 3 to 4, rising.')\n"
+            "table = pd.DataFrame({'profile': [profile]})\n"
+            "outputs.show_table(table, 'tbl-new', 'What it was given.')"
+        ),
+        text("Of runs that may not have begun.", metadata=needs),
+    ]
+    notebook = folder / "42_new.ipynb"
+    nbformat.write(copied, notebook)
+    nbformat.write(nbformat.v4.new_notebook(), folder / "draft.ipynb")  # without a number
+    assert build._sections() == [notebook]
+    assert [path for path, _ in build._stale("smoke", tmp_path, tmp_path)] == [notebook]
+    execution.execute(notebook, made, "smoke", tmp_path)
+    section = build._section(made / notebook.name, made, {"boxing_expert"})
+    assert "Of runs" not in section
+    names = crossrefs.names(section)
+    assert {name: called.replace("\xa0", " ") for name, called in names.items()} == {
+        **{"sec-new": "Section 1", "fig-new": "Figure 1", "tbl-new": "Table 1"},
+    }
+    finished = crossrefs.finish(section)
+    link = r"\[Figure\s1\]\(#fig-new\)"
+    assert re.search(link, finished)
+    (picture,) = re.findall(r"!\[It rises\.\]\(([^)]*)\){#fig-new", finished)
+    assert (made / picture).read_bytes().startswith(b"<?xml")
+    assert re.search(r"\| smoke +\|\n\n: What it was given\. {#tbl-new}", finished)
+    assert crossrefs.renumber(notebook, names)
+    assert re.search(link, nbformat.read(notebook, as_version=4).cells[0].source)
 
 
 def test_an_experiment_has_begun_when_any_of_its_runs_is_stored(tmp_path):

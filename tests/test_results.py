@@ -5,10 +5,23 @@ import shutil
 import numpy as np
 import pandas as pd
 import pytest
-from synthetic import AGENTS, check, evaluate, numbers, store, study, style, window, windows
+from synthetic import (
+    AGENTS,
+    check,
+    evaluate,
+    facts,
+    numbers,
+    standing_out,
+    store,
+    study,
+    style,
+    window,
+    windows,
+)
 
 from atari_dqn import params
 from atari_dqn.analysis import summaries
+from atari_dqn.analysis.statistics import interval
 from atari_dqn.analysis.study import TITLES, Section
 from atari_dqn.envs import EpisodeRecord
 from atari_dqn.report import notebook, outputs, plots, results
@@ -154,13 +167,23 @@ def test_a_sweep_has_a_row_a_variation_beside_the_same_games_of_the_unchanged_se
         ("raw rewards", "500", "5.0", "-5.0", "5.0"),
     ]
     for row in rows:
-        low, high = numbers(row["95% interval"])
-        assert low < float(row[mean]) < high
+        own = interval(standing_out(float(row[mean]), 16))
+        assert row["95% interval"] == "{:.1f} to {:.1f}".format(*own), row["variation"]
     _, *changed = found
-    panels = [one for one in shown.figures["fig-boxing-sensitivity-curves"].axes if one.lines]
+    figure = shown.figures["fig-boxing-sensitivity-curves"]
+    panels = [one for one in figure.axes if one.lines]
     assert [axes.get_title(loc="left") for axes in panels] == [name for name, *_ in changed]
-    for axes, (_, games, *_) in zip(panels, changed, strict=True):
+    assert figure.get_supxlabel() == "training games"
+    assert numbers(figure.get_supylabel()) == [16]
+    (legend,) = figure.legends
+    names = [text.get_text() for text in legend.get_texts()]
+    looks = dict(zip(names, (line.get_color() for line in legend.get_lines()), strict=True))
+    for axes, (_, games, _, mean, _) in zip(panels, changed, strict=True):
         unchanged, change = axes.get_lines()
+        ends = [line.get_ydata()[-1] for line in (unchanged, change)]
+        assert ends == pytest.approx([8.0, float(mean)]), "of means, not of single games"
+        drawn = {"unchanged": unchanged.get_color(), "with the change": change.get_color()}
+        assert looks == drawn
         assert unchanged.get_color() == plots.STYLES[DUELING].colour != change.get_color()
         assert unchanged.get_linewidth() > change.get_linewidth()
         assert [line.get_xdata()[-1] for line in (unchanged, change)] == [500, int(games)]
@@ -200,9 +223,13 @@ def test_transfer_is_measured_over_the_episodes_that_both_runs_have(tmp_path, sh
     results.show_transfer(stored["boxing_transfer"], stored["boxing_final"])
     first, second = shown.tables["tbl-transfer"]
     area = f"{5 / 110:.2f}"
-    assert list(first.values()) == ["DQN", "900", "5.00", "10.00", area, "5.00"]
+    early = {"early": "5.00", "early, greedy": "10.00"}
+    rest = {"area ratio": area, "at the end": "5.00"}
+    assert first == {"agent": "DQN", "games": "900", **early, **rest}
     area = f"{(-24 * 166 - 3 * 500) / (850 * 100 + 20 * 166 + 7 * 500):.2f}"
-    assert list(second.values()) == ["Double DQN", "850", "-3.00", "–", area, "-24.00"]
+    early = {"early": "-3.00", "early, greedy": "–"}
+    rest = {"area ratio": area, "at the end": "-24.00"}
+    assert second == {"agent": "Double DQN", "games": "850", **early, **rest}
     # of which episodes, as in the claim; greedy ones per check; of which last ones; the lowest
     assert numbers(shown.captions["tbl-transfer"]) == [500, 20, 166, -100]
 
@@ -234,17 +261,25 @@ def test_play_styles_are_rows_of_the_same_training_the_lowest_discount_first(tmp
     style(low, np.full(9, -5.0), scored=30.0, conceded=60.0, punches=50, distance=25.0)
     stored = study(tmp_path)
     results.show_playstyle([stored["boxing_final"], stored["boxing_low_gamma"]], "tbl-playstyle")
-    rows = [list(row.values()) for row in shown.tables["tbl-playstyle"]]
-    reckless = ["-5.0", "15.0", "30.0", "25.0", "25.0", "50%"]  # counts per minute, of two
-    careful = ["15.0", "10.0", "30.0", "40.0", "25%"]
-    assert rows == [
-        ["1 to 500", "0.9", *reckless],
-        ["1 to 500", "0.99", "10.0", *careful],
-        ["501 to 900", "0.9", *reckless],
-        ["501 to 900", "0.99", "30.0", *careful],
-        ["1,001 to 1,200", "0.99", "50.0", *careful],
+    rows = shown.tables["tbl-playstyle"]
+    found = [(row.pop("training games"), row.pop("discount"), row.pop("score")) for row in rows]
+    assert found == [
+        ("1 to 500", "0.9", "-5.0"),
+        ("1 to 500", "0.99", "10.0"),
+        ("501 to 900", "0.9", "-5.0"),
+        ("501 to 900", "0.99", "30.0"),
+        ("1,001 to 1,200", "0.99", "50.0"),
     ]
-    assert "per minute" in shown.captions["tbl-playstyle"]
+    counts = ("points scored", "points conceded", "punches thrown")  # per minute, of two
+    reckless = dict(zip(counts, ("15.0", "30.0", "25.0"), strict=True))
+    reckless |= {"distance": "25.0", "within reach": "50%"}
+    careful = dict(zip(counts, ("15.0", "10.0", "30.0"), strict=True))
+    careful |= {"distance": "40.0", "within reach": "25%"}
+    assert rows == [reckless, careful, reckless, careful, careful]
+    caption = shown.captions["tbl-playstyle"]
+    assert "Dueling Double DQN boxes" in caption
+    assert "per minute" in caption
+    assert numbers(caption) == [20, 100], "greedy games of a check, and games between two"
 
 
 def test_the_styles_along_training_have_a_panel_per_measure_and_a_line_per_agent(tmp_path, shown):
@@ -256,7 +291,14 @@ def test_the_styles_along_training_have_a_panel_per_measure_and_a_line_per_agent
         how |= {"ropes": curve / 20, "rival_ropes": curve / 50}
         style(run, np.zeros(3), **how, conceded=2 * curve)
     results.show_learning_style(study(tmp_path)["boxing_final"])
-    panels = shown.figures["fig-boxing-final-style"].axes
+    figure = shown.figures["fig-boxing-final-style"]
+    panels = figure.axes
+    (legend,) = figure.legends
+    names = [text.get_text() for text in legend.get_texts()]
+    looks = dict(zip(names, (line.get_color() for line in legend.get_lines()), strict=True))
+    expected = {"DQN": plots.STYLES[DQN].colour, "Double DQN": plots.STYLES[DOUBLE].colour}
+    assert looks == expected
+    assert {axes.get_xlabel() for axes in panels[-2:]} == {"training games"}
     # an episode lasts two minutes
     factors = (10, 10, 0.5, None, 33.3 / 2, 1, 10, None, 5, 2)
     for axes, factor in zip(panels, factors, strict=True):
@@ -264,6 +306,7 @@ def test_the_styles_along_training_have_a_panel_per_measure_and_a_line_per_agent
             continue
         lines = {line.get_label(): line.get_xydata() for line in axes.get_lines()}
         assert list(lines) == ["DQN", "Double DQN"]
+        assert {line.get_label(): line.get_color() for line in axes.get_lines()} == expected
         for name, base in (("DQN", 2.0), ("Double DQN", 1.0)):
             assert lines[name][:, 0].tolist() == [100, 200, 300]
             assert lines[name][:, 1] == pytest.approx(factor * base * np.array([1.0, 2.0, 3.0]))
@@ -275,6 +318,7 @@ def test_the_styles_along_training_have_a_panel_per_measure_and_a_line_per_agent
     assert per_punch == pytest.approx([33.3] * 3)
     assert knock_outs.tolist() == [0, 100, 100], "66.6 points are none, 133.2 are more than one"
     assert "#tbl-boxing-final-style .absent" in shown.texts[-1], "three checks are too few"
+    assert numbers(shown.captions["fig-boxing-final-style"]) == [20, 100], "greedy, training games"
 
 
 def test_a_game_of_four_openings_shows_the_range_of_their_means_in_place_of_an_interval(
@@ -405,8 +449,9 @@ def test_a_share_of_one_check_alone_is_no_beginning(tmp_path, shown):
     balls = np.r_[0, 0, 1, 0, 0, np.full(5, 9)]
     style(run, np.zeros(10), returned_fast=balls, lost_fast=balls)
     results.show_learning_style(study(tmp_path)["breakout_late"])
-    rows = {row["measure"]: list(row.values()) for row in shown.tables["tbl-breakout-late-style"]}
-    assert rows["fastest balls returned (%)"][2:] == ["–", "50.0", "–", "–"]
+    rows = {row.pop("measure"): row for row in shown.tables["tbl-breakout-late-style"]}
+    unknown = {"first": "–", "change (95%)": "–", "half-way after": "–"}
+    assert rows["fastest balls returned (%)"] == {"agent": "DQN", "last": "50.0", **unknown}
     assert "A dash" in shown.captions["tbl-breakout-late-style"]
 
 
@@ -427,15 +472,23 @@ def test_a_change_of_style_is_told_with_the_games_after_which_half_of_it_is_done
     style(run, np.zeros(20), **how, conceded=2 * flat)
     section = study(tmp_path)["boxing_final"]
     results.show_learning_style(section)
-    rows = {row["measure"]: list(row.values()) for row in shown.tables["tbl-boxing-final-style"]}
+    rows = {row.pop("measure"): row for row in shown.tables["tbl-boxing-final-style"]}
     # five checks of 1 (8 there are) and five of 2, smoothed over five: 1.6 at the 9th
-    assert rows["punches thrown per minute"][2:4] == ["10.0", "20.0"]
-    assert rows["punches thrown per minute"][-1] == "900 games"
-    assert rows["time within reach (%)"][2:4] == ["50.0", "100.0"]
-    assert rows["points scored per punch"][2:] == ["2.0", "2.0", "+0.0 to +0.0", "no clear change"]
-    assert rows["distance of the boxers (pixels)"][-1] == "no clear change"
-    low, high = numbers(rows["points conceded per minute"][4])
+    punches, reach = rows["punches thrown per minute"], rows["time within reach (%)"]
+    assert (punches["first"], punches["last"]) == ("10.0", "20.0")
+    assert punches["half-way after"] == "900 games"
+    assert (reach["first"], reach["last"]) == ("50.0", "100.0")
+    assert rows["points scored per punch"] == {
+        "agent": "DQN",
+        **{"first": "2.0", "last": "2.0"},
+        **{"change (95%)": "+0.0 to +0.0", "half-way after": "no clear change"},
+    }
+    assert rows["distance of the boxers (pixels)"]["half-way after"] == "no clear change"
+    low, high = numbers(rows["points conceded per minute"]["change (95%)"])
     assert low < 0 < high
+    low, high = numbers(rows["points scored per minute"]["change (95%)"])
+    assert 0 < low < 20 < high, "from 20 to 40"
+    assert numbers(shown.captions["tbl-boxing-final-style"]) == [5], "checks at either end"
 
 
 def test_what_there_was_nothing_of_at_first_has_no_change(tmp_path, shown):
@@ -443,9 +496,11 @@ def test_what_there_was_nothing_of_at_first_has_no_change(tmp_path, shown):
     fast = np.repeat([0, 5], 10)
     style(run, np.zeros(20), returned_fast=fast, lost_fast=fast, tunnel=np.repeat([0, 1], 10))
     results.show_learning_style(study(tmp_path)["breakout_late"])
-    rows = {row["measure"]: list(row.values()) for row in shown.tables["tbl-breakout-late-style"]}
-    assert rows["fastest balls returned (%)"][2:] == ["–", "50.0", "–", "–"]
-    assert rows["games with a tunnel (%)"][2:4] == ["0.0", "100.0"]
+    rows = {row.pop("measure"): row for row in shown.tables["tbl-breakout-late-style"]}
+    fastest, tunnels = rows["fastest balls returned (%)"], rows["games with a tunnel (%)"]
+    unknown = {"first": "–", "change (95%)": "–", "half-way after": "–"}
+    assert fastest == {"agent": "DQN", "last": "50.0", **unknown}
+    assert (tunnels["first"], tunnels["last"]) == ("0.0", "100.0")
 
 
 def test_an_empty_place_gives_a_reason_where_no_badge_does(tmp_path, shown):
@@ -490,32 +545,46 @@ def test_a_badge_tells_what_is_complete_the_share_played_and_what_is_planned(tmp
 def test_a_finished_agents_score_stands_beside_those_under_conditions_it_has_never_met(
     tmp_path, shown
 ):
-    run = store(tmp_path, "boxing_final", DQN, np.full(3000, 5.0))
-    evaluate(run, score=80.0)
-    evaluate(run, add=True, score=60.0, sticky_actions=0.25)
-    evaluate(run, add=True, score=FAR, difficulty=1)
-    rows = [("sequence", 10.0), ("mirrored", 30.0)]
-    run.robustness.parent.mkdir(parents=True)
-    pd.DataFrame(
-        {"condition": name, "game": game, "score": mean + off, "length": 9, "trained_games": 3000}
-        for name, mean in rows
-        for game, off in enumerate((-1, 0, 1))
-    ).to_csv(run.robustness, index=False)
-    games = [
-        ({"kind": "training", "episode": number}, EpisodeRecord(idle, bytes(3), None))
-        for number, idle in enumerate((1, 1, 2, 1, 1), 1)
-    ]
-    (run.folder / records.FILE).write_bytes(records.encode(games))
+    for agent, less, idle in ((DQN, 0.0, (1, 1, 2, 1, 1)), (DOUBLE, 50.0, (1, 2, 3, 3))):
+        run = store(tmp_path, "boxing_final", agent, np.full(3000, 5.0))
+        evaluate(run, score=80.0 - less)
+        evaluate(run, add=True, score=60.0 - less, sticky_actions=0.25)
+        evaluate(run, add=True, score=FAR, difficulty=1)
+        rows = [("sequence", 10.0 - less), ("mirrored", 30.0 - less)]
+        run.robustness.parent.mkdir(parents=True, exist_ok=True)
+        table = {"length": 9, "trained_games": 3000}
+        pd.DataFrame(
+            {"condition": name, "game": game, "score": mean + off, **table}
+            for name, mean in rows
+            for game, off in enumerate((-1, 0, 1))
+        ).to_csv(run.robustness, index=False)
+        games = [
+            ({"kind": "training", "episode": number}, EpisodeRecord(moment, bytes(3), None))
+            for number, moment in enumerate(idle, 1)
+        ]
+        (run.folder / records.FILE).write_bytes(records.encode(games))
     results.show_robustness(study(tmp_path)["boxing_final"])
     table = shown.tables["tbl-boxing-final-robustness"]
-    found = [(row["condition"], row["games"], row["mean score"]) for row in table]
+    found = [(row["agent"], row["condition"], row["games"], row["mean score"]) for row in table]
     assert found == [
-        ("as trained", "40", "80.0"),
-        ("sticky actions, 0.25", "40", "60.0"),
-        ("left and right exchanged", "3", "30.0"),
-        ("the best game's moves, blindly", "3", "10.0"),
+        ("DQN", "as trained", "40", "80.0"),
+        ("DQN", "sticky actions, 0.25", "40", "60.0"),
+        ("DQN", "left and right exchanged", "3", "30.0"),
+        ("DQN", "the best game's moves, blindly", "3", "10.0"),
+        ("Double DQN", "as trained", "40", "30.0"),
+        ("Double DQN", "sticky actions, 0.25", "40", "10.0"),
+        ("Double DQN", "left and right exchanged", "3", "-20.0"),
+        ("Double DQN", "the best game's moves, blindly", "3", "-40.0"),
     ]
-    assert numbers(shown.texts[-1]) == [500, 100, 80], "four of five begin alike"
+    for row in table:
+        low, high = numbers(row["95% interval"])
+        assert (low + high) / 2 == pytest.approx(float(row["mean score"]), abs=0.11)
+        if row["games"] == "40":  # evenly spread over two points
+            assert high - low == pytest.approx(2 * 1.96 * 2 / 12**0.5 / 40**0.5, abs=0.12)
+        if "blindly" in row["condition"]:  # three openings, one point apart; Student's t
+            assert high - low == pytest.approx(2 * 4.3027 / 3**0.5, abs=0.11)
+    said = ["DQN", 80, "Double DQN", 50]  # four of five begin alike, and two of four
+    assert facts(shown.texts[-1]) == [500, 100, *said]
 
 
 def test_repeated_openings_count_idle_frames_and_no_more_than_the_games_and_steps_asked_for(
@@ -554,10 +623,30 @@ def test_an_experiment_stands_beside_the_same_games_of_another(tmp_path, shown):
     store(tmp_path, "boxing_final", DOUBLE, np.full(400, 3.0))  # not in the other
     stored = study(tmp_path)
     results.show_beside(stored["boxing_expert"], stored["boxing_final"])
-    rows = [list(row.values()) for row in shown.tables["tbl-boxing-expert-beside"]]
+    games = ("1 to 50", "1 to 500", "501 to 1,000")
+    rows = shown.tables["tbl-boxing-expert-beside"]
+    found = [(row["agent"], row["runs"], *(row[part] for part in games)) for row in rows]
     titles = [TITLES["boxing_expert"], TITLES["boxing_final"]]
-    assert rows == [
-        ["DQN", titles[0], "5.0", "27.5", "70.0"],
-        ["DQN", titles[1], "1.0", "7.3", "40.0"],
-        ["Double DQN", titles[1], "3.0", "–", "–"],
+    assert found == [
+        ("DQN", titles[0], "5.0", "27.5", "70.0"),
+        ("DQN", titles[1], "1.0", "7.3", "40.0"),
+        ("Double DQN", titles[1], "3.0", "–", "–"),
     ]
+
+
+def test_endings_are_shown_for_each_milestone_with_the_games_that_they_are_of(tmp_path, shown):
+    results.show_endings(study(tmp_path)["boxing_final"])
+    assert not shown.tables
+    run = store(tmp_path, "boxing_final", DQN, np.repeat([60.0, -30.0, 80.0], [400, 100, 500]))
+    frames = np.repeat([3600, 7200, 1800], [400, 100, 500])  # of a game; 3,600 are a minute
+    table = pd.read_csv(run.folder / "episodes.csv").assign(frames=np.cumsum(frames))
+    table.to_csv(run.folder / "episodes.csv", index=False)
+    results.show_endings(study(tmp_path)["boxing_final"])
+    rows = shown.tables["tbl-boxing-final-endings"]
+    # of the first 500 games 400 take a minute, and 100 two; of the next all take half a minute
+    assert rows == [
+        {"agent": "DQN", "measure": "won by knock-out, %", "500": "80", "1000": "100"},
+        {"agent": "DQN", "measure": "seconds per game", "500": "72", "1000": "30"},
+        {"agent": "DQN", "measure": "net points per minute", "500": "35", "1000": "160"},
+    ]
+    assert numbers(shown.captions["tbl-boxing-final-endings"]) == [500]

@@ -4,8 +4,9 @@ import numpy as np
 import pandas as pd
 import pytest
 from conftest import SMALL
+from synthetic import evaluate, store
 
-from atari_dqn.envs import make_env
+from atari_dqn.envs import EpisodeRecord, make_env
 from atari_dqn.params import Parameters
 from atari_dqn.runs import models, recorder, records, robustness
 from atari_dqn.runs.run import Run
@@ -68,6 +69,25 @@ def test_a_run_under_way_is_not_measured(run, tmp_path):
 def test_no_game_of_the_model_on_record_is_an_error(run):
     with pytest.raises(records.RecordError, match="no evaluation game of its model"):
         robustness.best_game(run, 2)
+
+
+def test_the_best_game_is_the_models_own_and_was_played_as_it_was_trained(tmp_path):
+    """An older model, and a game of another difficulty, score more."""
+    run = store(tmp_path, "boxing_final", "dqn", np.zeros(10))
+    played = {(100, 0): [90, 0, 0], (3000, 0): [10, 20, 0], (3000, 2): [0, 0, 80]}
+    games = []
+    for number, ((trained, difficulty), scores) in enumerate(played.items()):
+        how = {"trained": trained, "difficulty": difficulty, "score": np.array(scores, float)}
+        evaluate(run, games=3, add=number > 0, **how)
+        heading = {"kind": "evaluation", "seed": 1, "sticky_actions": 0.0, "epsilon": 0.001}
+        heading |= {"trained_games": trained, "difficulty": difficulty}
+        games += [
+            ({**heading, "game": game}, EpisodeRecord(10 * number + game, b"\1", None))
+            for game in range(3)
+        ]
+    (run.folder / records.FILE).write_bytes(records.encode(games))
+    assert robustness.best_game(run, 3000).idle_frames == 11
+    assert robustness.best_game(run, 100).idle_frames == 0
 
 
 def test_a_mirrored_player_sees_and_moves_the_other_way_round(small):

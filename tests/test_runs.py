@@ -536,6 +536,20 @@ def test_help_and_refusals_wait_for_no_slow_imports(arguments, slow, said):
     assert said in done.stdout + done.stderr
 
 
+def test_numbers_are_computed_without_pytorch_and_without_a_drawing_library():
+    folder = ROOT / "src" / "atari_dqn" / "analysis"
+    names = [f"atari_dqn.analysis.{path.stem}" for path in folder.glob("[!_]*.py")]
+    assert "atari_dqn.analysis.verdicts" in names
+    code = (
+        f"import sys, {', '.join(names)}\n"
+        "print(sys.modules.keys() & {'torch', 'matplotlib', 'seaborn', 'IPython', 'cv2', 'PIL'})\n"
+        "import atari_dqn.report.plots\n"
+        "print(sorted(sys.modules.keys() & {'matplotlib', 'seaborn'}))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
+    assert done.stdout == "set()\n['matplotlib', 'seaborn']\n", "the floor above loads them"
+
+
 def made(*arguments):
     """The commands that make would run."""
     command = ["make", "--dry-run", *arguments]

@@ -3,10 +3,12 @@
 import numpy as np
 import pytest
 import torch
-from synthetic import store
+from matplotlib.figure import Figure
+from synthetic import numbers, store, study
 from torch import nn
 
 from atari_dqn.envs import EpisodeRecord
+from atari_dqn.networks import DuelingNetwork
 from atari_dqn.report import saliency
 from atari_dqn.runs import records
 from atari_dqn.runs.dataset import Trajectory
@@ -48,6 +50,42 @@ def test_a_blur_changes_nothing_in_an_even_picture():
     assert max(found.value.max(), found.advantages.max()) < 1e-3
 
 
+def test_every_map_is_drawn_under_the_name_of_what_it_shows():
+    """Of two networks, the second with the places of the first the other way round."""
+    value, advantage = (10, 70), (62, 18)
+    networks = {"one": Looks(value, advantage), "other": Looks(advantage, value)}
+    observation = np.random.default_rng(0).integers(0, 255, (84, 84, 4)).astype(np.uint8)
+    seen, *panels = saliency.figure({"half": observation}, networks).axes
+    assert (seen.get_images()[0].get_array() == observation[..., -1]).all(), "the newest image"
+    found = {}
+    for axes in panels:
+        heat = axes.get_images()[-1].get_array()
+        brightest = np.unravel_index(heat.argmax(), heat.shape)
+        found[axes.get_title()] = [saliency.STRIDE * place + 2 for place in brightest]
+    near = {name: pytest.approx(place, abs=4) for name, place in (("v", value), ("a", advantage))}
+    assert found == {
+        **{"one\nvalue": near["v"], "one\nadvantages": near["a"]},
+        **{"other\nvalue": near["a"], "other\nadvantages": near["v"]},
+    }
+
+
+def test_a_filter_is_a_column_with_the_oldest_image_at_the_top():
+    network = DuelingNetwork(4, 6)
+    with torch.no_grad():
+        for image in range(4):  # the newest is the last
+            network.convolutions[0].weight[:, image] = image + 1
+        network.convolutions[0].weight[7] *= -0.5
+    (axes,) = saliency.filters_figure({"any": network}).axes
+    (sheet,) = axes.get_images()
+    high, wide = sheet.get_array().shape
+    middles = sheet.get_array()[high // 8 :: high // 4, wide // 64 :: wide // 32]
+    assert middles[:, 0].tolist() == [0.25, 0.5, 0.75, 1]
+    assert middles[:, 7].tolist() == [-0.25, -0.5, -0.75, -1]
+    below, above = axes.get_ylim()
+    assert below > above, "the first row is drawn at the top"
+    assert axes.get_title(loc="left") == "any"
+
+
 def test_an_observation_is_the_newest_images_with_the_first_before_the_beginning():
     images = np.arange(6, dtype=np.uint8)[:, None, None] * np.ones((1, 84, 84), np.uint8)
     game = Trajectory(images, *[np.zeros(5)] * 5)
@@ -62,25 +100,105 @@ def test_the_shares_of_the_parts_are_those_of_the_sum():
     assert found == pytest.approx({"score and clock": 12.5, "ring": 62.5, "elsewhere": 25})
 
 
+class Known(nn.Module):
+    """The state's value is the brightness, and the actions lie so far from it."""
+
+    def __init__(self, *apart):
+        super().__init__()
+        self.apart, self.unused = torch.tensor(apart), nn.Parameter(torch.zeros(1))
+
+    def forward(self, observations):
+        return observations[:, 0, 0, -1].float()[:, None] + self.apart
+
+
+def alternating(count):
+    """Images of brightness 20 and 0 in turn."""
+    images = np.zeros((count, 84, 84), np.uint8)
+    images[::2, 0, 0] = 20
+    return images
+
+
+SPREADS = {"value of a state": 10, "spread between states": 10}  # of these images
+
+
 def test_the_spreads_are_those_of_the_states_and_of_the_actions_in_them():
-    class Known(nn.Module):
-        """The state's value is the brightness, and the actions lie 1, 0 and -4 around it, moved."""
-
-        def __init__(self):
-            super().__init__()
-            self.unused = nn.Parameter(torch.zeros(1))
-
-        def forward(self, observations):
-            state = observations[:, 0, 0, -1].float()
-            return state[:, None] + torch.tensor([2.0, 1.0, -3.0])
-
-    observations = np.zeros((600, 84, 84, 4), np.uint8)
-    observations[::2, 0, 0, -1] = 20
-    found = saliency.spreads(Known(), observations)
+    observations = alternating(600)[..., None].repeat(4, axis=-1)
     within = np.var([2.0, 1.0, -3.0])
-    assert list(found.values()) == pytest.approx(
-        [10, 10, np.sqrt(within), 1, 100 * 100 / (100 + within)]
+    assert saliency.spreads(Known(2.0, 1.0, -3.0), observations) == pytest.approx(
+        SPREADS
+        | {"spread between actions": np.sqrt(within), "gap of the best two": 1}
+        | {"the state's share, %": 100 * 100 / (100 + within)}
     )
+
+
+@pytest.fixture
+def section(tmp_path, monkeypatch):
+    """Two agents with an evaluation game on record, of as many images as `play` is given; the
+    networks are by agent."""
+
+    def play(images, networks):
+        for agent in networks:
+            store(tmp_path, "boxing_final", agent, [1.0])
+        game = Trajectory(images, *[np.zeros(len(images) - 1)] * 5)
+        monkeypatch.setattr(saliency, "first_evaluated", lambda run: EpisodeRecord(0, b"", None))
+        monkeypatch.setattr(saliency, "trajectory", lambda params, record: game)
+        monkeypatch.setattr(
+            saliency.models, "load_model", lambda path, params: networks[params.agents[0]]
+        )
+        return study(tmp_path)["boxing_final"]
+
+    return play
+
+
+def test_each_agents_spreads_stand_in_its_row(section, shown):
+    networks = {"dqn": Known(1.0, -1.0), "double_dqn": Known(10.0, -10.0)}
+    saliency.show_spreads(section(alternating(201), networks))
+    for row, agent, apart, gap, share in zip(
+        shown.tables["tbl-boxing-final-spreads"],
+        ("DQN", "Double DQN"),
+        ("1.00", "10.00"),
+        ("2.00", "20.00"),
+        (100 * 100 / 101, 50),
+        strict=True,
+    ):
+        assert row == {
+            **{"agent": agent},
+            **{name: f"{value:.2f}" for name, value in SPREADS.items()},
+            **{"spread between actions": apart, "gap of the best two": gap},
+            **{"the state's share, %": f"{share:.2f}"},
+        }
+
+
+def test_the_parts_of_the_picture_have_the_shares_of_each_agents_two_maps(
+    section, shown, monkeypatch
+):
+    """Either looks at the score for one map and into the ring for the other."""
+    score, ring = (8, 42), (50, 40)
+    networks = {"dqn": Looks(score, ring), "double_dqn": Looks(ring, score)}
+    images = np.random.default_rng(0).integers(0, 255, (102, 84, 84)).astype(np.uint8)
+    drawn = {}
+    monkeypatch.setattr(saliency, "filters_figure", lambda networks: Figure())
+    monkeypatch.setattr(
+        saliency, "figure", lambda seen, networks: drawn.update(seen, **networks) or Figure()
+    )
+    saliency.show_saliency(section(images, networks))
+    rows = shown.tables["tbl-boxing-final-saliency"]
+    found = {(row["agent"], row["what changes"]): row for row in rows}
+    kinds = [(agent, kind) for agent in ("DQN", "Double DQN") for kind in ("value", "advantages")]
+    assert list(found) == [*kinds, ("if all places", "counted alike")]
+    for kind, part in zip(
+        kinds, ("score and clock", "ring", "ring", "score and clock"), strict=True
+    ):
+        assert float(found[kind][part]) > 90, kind
+    even = found["if all places", "counted alike"]  # of 21 by 21: 4 rows, and 15 rows by 14
+    assert (even["score and clock"], even["ring"], even["elsewhere"]) == ("19", "48", "33")
+    assert numbers(shown.captions["tbl-boxing-final-saliency"]) == [2, 50], "steps 0 and 50"
+    assert {name: drawn[name] for name in ("DQN", "Double DQN")} == {
+        **{"DQN": networks["dqn"], "Double DQN": networks["double_dqn"]}
+    }
+    for name, step in (("a quarter", 25), ("half", 50), ("the last step", 100)):
+        assert (drawn[name][..., -1] == images[step]).all(), name
+    assert "One game by DQN" in shown.captions["fig-boxing-final-saliency"]
 
 
 def test_the_game_that_is_shown_is_the_newest_models_first_as_it_was_trained(tmp_path):

@@ -1,6 +1,6 @@
 """Styles are what the console's memory says while recorded greedy episodes are played again."""
 
-from dataclasses import astuple
+from dataclasses import astuple, dataclass
 from itertools import islice, pairwise
 from pathlib import Path
 
@@ -264,6 +264,44 @@ def test_balls_of_breakout_are_counted_as_the_picture_shows_them(small, tmp_path
     assert row.above == gained
     assert (gained > 100) == (played is through_the_wall)
     assert row.score == scores[-1]
+
+
+@dataclass
+class Moment:
+    """Of a game of Breakout, as the console's memory and its score tell it."""
+
+    y: int  # of the ball; 0 while none is in play
+    score: float = 0
+    lives: int = 5
+    x: int = 100
+    frames: int = 0
+
+    def ram(self):
+        memory = np.zeros(128, np.uint8)
+        memory[[99, 101, 103]] = self.x, self.y, 1
+        return memory
+
+
+def of_moments(monkeypatch, moments):
+    monkeypatch.setattr(records, "replay", lambda params, record: iter(moments))
+    return styles.MEASURED["breakout"](None, 100, 0, "", None)
+
+
+def test_points_above_the_wall_are_those_of_steps_that_begin_or_end_there(monkeypatch):
+    """The wall's first row begins at 46; the n-th step scores 2 ** n."""
+    places = [60, 60, 45, 45, 46, 46, 0, 0]
+    found = of_moments(monkeypatch, [Moment(y, 2**n - 1) for n, y in enumerate(places)])
+    assert (found.above, found.tunnel) == (2 + 4 + 8, 1)
+    found = of_moments(monkeypatch, [Moment(y, n) for n, y in enumerate([60, 46, 0, 0, 46])])
+    assert (found.above, found.tunnel) == (0, 0)
+
+
+def test_a_ball_is_lost_in_the_third_of_the_court_where_it_was_before(monkeypatch):
+    """The court's 144 pixels begin at 57, and beneath the paddle a ball goes on beyond them."""
+    places = [20, 57, 104, 105, 152, 153, 200, 230]
+    moments = [Moment(190, lives=9 - n, x=x) for n, x in enumerate(places)]
+    found = of_moments(monkeypatch, [*moments, Moment(0, lives=1)])
+    assert (found.lost_left, found.lost_middle, found.lost_right) == (3, 2, 3)
 
 
 def test_no_punch_that_was_measured_lands_from_beyond_reach():

@@ -299,6 +299,19 @@ def test_finished_agents_come_first_and_an_unfinished_one_stands_beside_them_at_
     assert facts(text.split("**")[2])[:4] == ["Dueling Double DQN", 601, 700, 95]
 
 
+@pytest.mark.parametrize(
+    ("lengths", "window_"), [((700, 600), 100), ((3000, 2999), 100), ((3000, 3000), 500)]
+)
+def test_of_several_seeds_the_one_that_has_played_fewest_says_how_far_they_are(
+    tmp_path, lengths, window_
+):
+    for seed, length in enumerate(lengths, start=1):
+        store(tmp_path, "boxing_final", DQN, np.zeros(length), seed=seed)
+    section = Section("boxing_final", "full", str(tmp_path), [DQN], [1, 2])
+    found = summaries.score(section, DQN)
+    assert (found.episodes, found.window) == (min(lengths), window_)
+
+
 def test_finished_runs_are_told_of_as_finished(tmp_path):
     for agent, mean in (("dqn", 80.0), ("double_dqn", 90.0), ("dueling_double_dqn", 85.0)):
         run = store(tmp_path, "boxing_final", agent, np.full(3000, mean))
@@ -397,6 +410,39 @@ def test_a_tile_has_the_source_reports_scores_and_ours(tmp_path):
     assert facts(theirs) == ["DQN", 26.3]
     assert "Double DQN 16.8" in ours, "of those it is compared with"
     assert "Boxing 36.3, Breakout 4.9" in summaries._numbers(study(tmp_path), FINDINGS[2])
+
+
+# Of every claim, the section of ours and the source report's scores that its tile has, as its
+# tables 1 and 2 print them, and which of six parts of the training they are of
+BOXERS = "DQN 85.6, Double DQN 92.6, Dueling Double DQN 89.8"
+BREAKERS = "DQN 36.1, Double DQN 15.4, Dueling Double DQN 21.4"
+TILES = (
+    ("boxing", "DQN 51.6, Double DQN 80.2, Dueling Double DQN 72.4", 2),
+    ("boxing", BOXERS, 6),
+    ("results", "Boxing 36.3, Breakout 4.9", 1),
+    ("boxing", BOXERS, 6),
+    *[("breakout", BREAKERS, 6)] * 2,
+    ("breakout-early", "", 0),
+    ("breakout-late", "DQN 26.3", 6),
+    *[(name, "", 0) for name in ("breakout", "boxing-early", "boxing-early")],
+    *[(name, "", 0) for name in ("low-gamma", "low-gamma", "high-gamma")],
+    *[(name, "", 0) for name in ("expert", "transfer", "high-gamma")],
+    *[(name, "", 0) for name in ("sensitivity", "sensitivity", "boxing-early")],
+    *[(name, "", 0) for name in ("breakout-late", "low-gamma")],
+    *[(name, "", 0) for name in ("breakout-late", "breakout-early")],
+)
+
+
+def test_every_tile_leads_to_the_runs_it_is_about_and_has_the_scores_of_its_own_games(tmp_path):
+    for experiment in ("boxing_final", "breakout_final", "breakout_late"):
+        for agent in AGENTS:
+            store(tmp_path, experiment, agent, np.repeat(np.arange(1.0, 7.0), 500))
+    stored = study(tmp_path)
+    for claim, (section, theirs, part) in zip(FINDINGS, TILES, strict=True):
+        assert claim.section == f"sec-{section}", claim.text
+        said, _, ours = summaries._numbers(stored, claim).partition(" Ours: ")
+        assert said == (f"Source: {theirs}." if theirs else ""), claim.text
+        assert set(numbers(ours)) == ({part} if theirs else set()), claim.text
 
 
 def test_a_tile_has_an_interval_only_if_that_is_over_seeds():

@@ -1,7 +1,10 @@
 import numpy as np
 import pytest
 from matplotlib.patches import Rectangle
+from synthetic import named_lines, numbers
 
+from atari_dqn.envs import AtariEnv
+from atari_dqn.games import GAMES
 from atari_dqn.report import tabular
 from atari_dqn.report.tabular import COLUMNS, GOAL, ROWS, SHORTEST, START, Transition
 
@@ -90,10 +93,41 @@ def test_the_greedy_path_is_framed_on_the_map_and_crosses_no_text():
             assert inside or not box.overlaps(place), text.get_text()
 
 
-def test_the_map_prints_every_cell_and_the_figures_can_be_drawn():
+def test_the_map_prints_every_cell():
     q, _ = tabular.learn(lambda game: 0.1, games=300, seed=1)
     texts = [text.get_text() for text in tabular.grid_figure(q).axes[0].texts]
     assert "↑\n−13.0" in texts
     assert sum("\n" in text for text in texts) == len(SAFE)
-    tabular.curves_figure(tabular.compare({"always": lambda game: 0.1}, 30, [0]))
-    tabular.overestimation_figure(tabular.overestimation([2, 4], 10))
+
+
+def test_the_curves_of_learning_are_means_of_twenty_games_and_of_the_seeds():
+    schemes = {"always": lambda game: 0.1, "less": lambda game: 0.1 * 0.9**game}
+    scores = tabular.compare(schemes, games=30, seeds=(0, 1))
+    (axes,) = tabular.curves_figure(scores).axes
+    named = named_lines(axes)
+    *_, best = named
+    assert numbers(best) == [SHORTEST]
+    for name in schemes:
+        points = scores[scores.exploration == name].pivot(index="game", columns="seed")
+        twenty = np.lib.stride_tricks.sliding_window_view(points.score.mean(axis=1), 20)
+        ((xs, ys),) = named[name]
+        assert xs == list(range(20, 31))
+        assert ys == pytest.approx(twenty.mean(axis=1))
+    assert axes.get_xlabel() == "games"
+    assert numbers(axes.get_ylabel()) == [20]
+
+
+def test_overestimation_is_drawn_against_the_actions_that_either_game_has():
+    table = tabular.overestimation([2, 4, 18], samples=1000)
+    (axes,) = tabular.overestimation_figure(table).axes
+    believed = table.pivot(index="actions", columns="evaluated with", values="believed")
+    found = {name: ys for name, ((_, ys),) in named_lines(axes).items()}
+    assert found == {name: pytest.approx(believed[name].tolist()) for name in believed}
+    ticks = {
+        label.get_text(): at
+        for label, at in zip(axes.get_xticklabels(), axes.get_xticks(), strict=True)
+    }
+    for game in ("boxing", "breakout"):
+        actions = len(AtariEnv(game).actions)
+        assert ticks[f"{actions}\n{GAMES[game].title}"] == actions
+    assert all(numbers(name) == [at] for name, at in ticks.items())

@@ -2,6 +2,7 @@
 
 import colorsys
 import io
+from types import SimpleNamespace
 
 import av
 import cv2
@@ -200,3 +201,80 @@ def test_action_names_are_words():
         "up right fire",
         "down left",
     ]
+
+
+@pytest.fixture
+def instruments(small, monkeypatch):
+    """A stage with a game by hand, of 1,000 steps of which each is a fifteenth of a second, and the
+    texts that are written on it. The third action is the best, and the fifth the worst; two points
+    are scored at step 950, and three conceded at 970."""
+    texts = []
+    monkeypatch.setattr(module, "_write", lambda view, text, *_, **how: texts.append(text))
+
+    def of(knockout=0, chosen=3):
+        q_values = np.zeros((1000, 18), np.float32)
+        q_values[:, 3], q_values[:, 5] = 1, -1
+        scores = np.repeat([0.0, 2.0, -1.0], [950, 20, 31])
+        game = module.Recording(
+            small(), SimpleNamespace(knockout=knockout), "max Q",
+            np.full(1000, chosen), q_values, np.linspace(0, 1, 1000), scores,
+        )  # fmt: skip
+        return module.Stage({"Agent": game}), texts
+
+    return of
+
+
+SCREEN, PLANES = np.zeros((210, 160, 3), np.uint8), np.zeros((4, 84 * 84), np.uint8)
+
+
+def test_under_the_picture_stand_score_clock_and_value_of_that_step(instruments):
+    stage, texts = instruments()
+    (column,) = stage.columns
+    for step, said in ((949, "score 0"), (950, "score 2"), (990, "score −1")):
+        column.draw(SCREEN, step)
+        assert said in texts[-4:]
+    assert texts[-3] == "1:06"
+    assert float(texts[-1]) == pytest.approx(990 / 999, abs=0.01)
+
+
+def test_points_are_marked_above_the_trace_and_those_of_the_rival_below(instruments):
+    stage, _ = instruments()
+    (column,) = stage.columns
+    column.draw(SCREEN, 990)
+    plot = column.trace[:, column.left :]
+    height, width, _ = plot.shape
+    scored, conceded = (width - 3 - module.PACE * (990 - step) for step in (950, 970))
+    above, below = plot[4], plot[height - 5]
+    assert [tuple(above[x]) for x in (scored, conceded)] == [module.INK, module.PANEL]
+    assert [tuple(below[x]) for x in (scored, conceded)] == [module.PANEL, module.SOFT]
+
+
+@pytest.mark.parametrize(
+    ("knockout", "said"), [(1, "knock-out"), (0, "finished"), (-1, "knocked out")]
+)
+def test_at_its_end_a_game_says_who_was_knocked_out(instruments, knockout, said):
+    stage, texts = instruments(knockout)
+    (column,) = stage.columns
+    column.draw(SCREEN, 999)
+    assert said not in texts
+    column.draw(SCREEN, 1000)
+    assert said in texts
+
+
+@pytest.mark.parametrize("chosen", [3, 5])
+def test_a_bar_goes_to_the_right_if_its_action_is_better_than_the_mean(instruments, chosen):
+    stage, texts = instruments(chosen=chosen)
+    mind = stage.mind
+    mind.draw(PLANES, 500)
+    middle = mind.left + mind.reach
+
+    def beside(row):
+        place = row * mind.pitch + mind.pitch // 2
+        return tuple(mind.bars[place, middle - 10]), tuple(mind.bars[place, middle + 10])
+
+    # the best is in the agent's colour if it is chosen; a worse one is chosen at random, and white
+    best, worst = (mind.game.colour, module.BAR) if chosen == 3 else (module.BAR, module.INK)
+    assert beside(3) == (module.PANEL, best)
+    assert beside(5) == (worst, module.PANEL)
+    assert beside(7) == (module.PANEL, module.PANEL)
+    assert ("random" in texts) == (chosen == 5)
