@@ -128,6 +128,7 @@ FILES = {
     "half a character": (r'game: "\ud800"', r"game: '\ud800' is not allowed"),
     "right to left": (r'"\u202egamma": 1', r"unknown key '\u202egamma'"),
     "nothing": ("", "expected lines of 'key: value'"),
+    "a key that is a number": ("1: 2", "expected lines of 'key: value'"),
     "only a word": ("gamma", "expected lines of 'key: value'"),
     "two documents": ("gamma: 0.9\n---\ngamma: 0.8", "line 2: but found another document"),
     "a key twice": ("gamma: 0.9\ngamma: 0.8", 'line 2: found duplicate key "gamma"'),

@@ -99,6 +99,16 @@ def test_damage_is_named_by_file_and_line(run, name, what):
         tables.check(run.folder)
 
 
+@pytest.mark.parametrize(("order", "line"), [((3, 0), 4), ((0, 3, 0), 6)])
+def test_evaluations_under_settings_out_of_their_order_are_named(run, order, line):
+    path = run.folder / tables.EVALUATIONS
+    head, *rows = path.read_text().splitlines(keepends=True)
+    under = {0: rows[:2], 3: rows[2:]}  # by difficulty
+    path.write_text("".join([head, *(row for each in order for row in under[each])]))
+    said = tables.damage(run)
+    assert said.startswith(f"{path}, line {line}: should be above: rows are sorted by ")
+
+
 @pytest.mark.parametrize("data", [b"", b"\0" * 100, bytes(range(256)) * 9, b"\xff\xfe", b"\n"])
 @pytest.mark.parametrize("name", TABLES)
 def test_what_is_no_table_at_all_is_named(run, name, data):
