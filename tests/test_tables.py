@@ -335,16 +335,30 @@ def test_a_report_names_a_damaged_run_and_goes_on(two, monkeypatch):
     assert build._moment(good.results).month == 2
 
 
-@pytest.mark.parametrize("damage", ["a letter", "a repeated row"])
-def test_a_damaged_file_of_styles_is_named_with_its_remedy(tmp_path, damage):
-    run = store(tmp_path, "boxing_final", DQN, np.ones(300))
+def tried(run):
+    """Gives a run what `robustness.measure` writes."""
+    run.robustness.parent.mkdir(parents=True)
+    trials = pd.DataFrame([Trial("sequence", 7, 1.0, 90, 300), Trial("mirrored", 0, 2.0, 90, 300)])
+    trials.to_csv(run.robustness, index=False)
+    return run.robustness
+
+
+def styled(run):
     style(run, np.ones(3))
+    return run.styles
+
+
+@pytest.mark.parametrize("measured", [styled, tried])
+@pytest.mark.parametrize("damage", ["a letter", "a repeated row"])
+def test_a_damaged_file_beside_a_run_is_named_with_its_remedy(tmp_path, measured, damage):
+    run = store(tmp_path, "boxing_final", DQN, np.ones(300))
+    path = measured(run)
     assert tables.damage(run) == ""
-    head, first, *rest = run.styles.read_text().splitlines(keepends=True)
+    head, first, *rest = path.read_text().splitlines(keepends=True)
     first = first + first if damage == "a repeated row" else "x" + first
-    run.styles.write_text("".join([head, first, *rest]))
+    path.write_text("".join([head, first, *rest]))
     said = tables.damage(run)
-    assert said.startswith(f"{run.styles}, line {3 if damage == 'a repeated row' else 2}: ")
+    assert said.startswith(f"{path}, line {3 if damage == 'a repeated row' else 2}: ")
     assert said.endswith("; without the file, `report` measures it again")
 
 
