@@ -3,8 +3,8 @@ not; and does its process hold no more memory in the end than in the beginning?
 
     python benchmarks/soak.py [--minutes 60] [--kills 20] [--load 2]
 
-A real run of Boxing, whose games are cut short, is trained twice, for about half of the time each:
-undisturbed, and killed with SIGKILL at random moments beside `--load` other processes that keep the
+A real run of Boxing, whose games are cut short, is trained twice: undisturbed, for about a third of
+the time, since what comes then takes longer and is no less than that; and killed with SIGKILL at random moments beside `--load` other processes that keep the
 cores busy. The files of both, and their last checkpoints, are then compared byte for byte, but for
 what the clock decides (timing.csv, provenance.json). Adds a line to results/benchmarks/soak.csv, in
 which `megabytes_1` to `megabytes_4` are the most that the undisturbed process held in each quarter.
@@ -36,7 +36,7 @@ PILOT = Parameters(
     experiment="soak",
     profile="smoke",
     agents=["double_dqn"],
-    episodes=24,  # which tell how many can be played in the time
+    episodes=16,  # which tell how many can be played in the time
     max_game_frames=1200,
     replay_capacity=4000,  # transitions; written over from the fourteenth game on
     learning_starts=800,
@@ -90,7 +90,7 @@ def soak(pilot: Parameters, folder: Path, seconds: float, times: int, busy: int)
     """Trains twice, for about so many seconds in all, and says what came of it."""
     began = time.monotonic()
     watch(kills.start(folder / "pilot", pilot, BETWEEN))
-    games = int(pilot.episodes * seconds / 2 / (time.monotonic() - began))
+    games = int(pilot.episodes * seconds / 3 / (time.monotonic() - began))
     parameters = pilot.model_copy(update={"episodes": max(pilot.episodes, games)})
     whole, killed = (Run(parameters, folder / name) for name in ("whole", "killed"))
     began = time.monotonic()
