@@ -48,7 +48,7 @@ from atari_dqn import params
 from atari_dqn.params import Parameters
 from atari_dqn.runs import recorder
 from atari_dqn.runs.run import Run
-recorder.CHECKPOINT_SECONDS = 0.05
+recorder.CHECKPOINT_SECONDS = float(sys.argv[3])
 params.VALUES_PERIOD = 20
 print("ready", flush=True)
 parameters = Parameters.model_validate_json(sys.argv[1])
@@ -56,9 +56,10 @@ recorder.train(Run(parameters, Path(sys.argv[2])))
 """
 
 
-def start(folder: Path) -> subprocess.Popen:
+def start(folder: Path, parameters: Parameters = SMALL, between: float = 0.05) -> subprocess.Popen:
+    """A process that trains, with so many seconds between two checkpoints."""
     process = subprocess.Popen(
-        [sys.executable, "-c", PROGRAM, SMALL.model_dump_json(), str(folder)],
+        [sys.executable, "-c", PROGRAM, parameters.model_dump_json(), str(folder), str(between)],
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
         text=True,

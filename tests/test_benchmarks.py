@@ -1,12 +1,17 @@
 """The arithmetic behind the benchmarks' figures; what they measure is no matter for tests."""
 
+import shutil
 import sys
 from pathlib import Path
 
 import pytest
 
+from atari_dqn.runs import checkpoints, recorder
+from atari_dqn.runs.run import Run
+
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 
+import soak
 import throughput
 from throughput import Contestant
 
@@ -59,3 +64,37 @@ def test_each_librarys_faster_set_up_goes_on_and_ratios_are_to_the_fastest_peer(
     assert ours.ratio_to_best_peer == 2.0
     assert ours.share_of_direct_roofline == 0.76
     assert ours.share_of_needed_roofline == 0.5
+
+
+def test_a_soak_finds_whatever_differs_but_for_what_the_clock_decides(tmp_path, small, monkeypatch):
+    monkeypatch.delenv("ATARI_DQN_STATE")  # each has its checkpoints among its results
+    one, two = (Run(small(episodes=1, snapshot_games=[1]), tmp_path / name) for name in "ab")
+    recorder.train(one, None)
+    shutil.copytree(one.results, two.results)
+    assert soak.differences(one, two) == []
+    names = [name for name in soak.contents(two) if not name.startswith("checkpoint: ")]
+    assert {"episodes.csv", "games.jsonl.zst", "snapshots/games-00001.safetensors"} < set(names)
+    for name in [*names, "timing.csv", "provenance.json"]:
+        path = two.folder / name
+        whole = path.read_bytes()
+        path.write_bytes(whole + b" ")
+        assert soak.differences(one, two) == [name] * (name in names)
+        path.unlink()
+        assert soak.differences(one, two) == [name] * (name in names)
+        path.write_bytes(whole)
+    saved = checkpoints.load(two.state_folder)
+    saved["seconds"] += 1
+    checkpoints.save(two.state_folder, saved)
+    assert soak.differences(one, two) == []
+    saved["trainer"]["learner"]["moments"]["convolutions.0.bias.exp_avg"][0] += 1
+    checkpoints.save(two.state_folder, saved)
+    assert soak.differences(one, two) == ["checkpoint: trainer"]
+
+
+def test_a_soak_trains_twice_and_tells_what_came_of_it(tmp_path, small, monkeypatch):
+    monkeypatch.delenv("ATARI_DQN_STATE")
+    told = soak.soak(small(), tmp_path, seconds=1, times=1, busy=0)
+    assert (told["games"], told["different"]) == (3, "none")
+    assert told["kills"] <= 1, "it may have ended before"
+    assert told["files"] == 7
+    assert all(told[f"megabytes_{quarter}"] > 10 for quarter in (1, 2, 3, 4))

@@ -19,7 +19,7 @@ from safetensors.torch import load_file
 from atari_dqn import params
 from atari_dqn.native import NativeLearner
 from atari_dqn.params import Parameters
-from atari_dqn.runs import checkpoints, evaluations, models, recorder, value_checks
+from atari_dqn.runs import checkpoints, dataset, evaluations, models, recorder, value_checks
 from atari_dqn.runs.files import RunError
 from atari_dqn.runs.run import Run
 
@@ -93,6 +93,75 @@ def test_no_game_is_played_whose_result_could_not_be_stored(tmp_path, small, mon
 
 
 # ---- Disks ---------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def written_over():
+    """The files that are opened to be written, but not at their end."""
+    found, watching = [], [True]
+
+    def watch(event, arguments):
+        if watching and event == "open" and not isinstance(arguments[0], int):
+            name, _, flags = arguments
+            if flags & (os.O_WRONLY | os.O_RDWR) and not flags & os.O_APPEND:
+                found.append(Path(os.fsdecode(name)))
+
+    sys.addaudithook(watch)  # for good: no hook can be taken away
+    yield found
+    watching.clear()
+
+
+def test_no_file_of_a_run_is_written_over_where_it_stands(tmp_path, small, written_over):
+    """Each is written beside, and takes the old one's place when it is whole: a process that is
+    killed, or reads meanwhile, would come upon half of it."""
+    run = Run(small(snapshot_games=[1]), tmp_path)
+    recorder.train(run, None)
+    evaluations.evaluate(run.folder, {"difficulty": 1}, 1)
+    dataset.export(run.folder, 1, 2, tmp_path / "games.npz")
+    inside = [path for path in written_over if path.is_relative_to(tmp_path)]
+    beside = [path for path in inside if path.name[0] == "." or path.parent.name[:4] == "tmp-"]
+    assert len(beside) > 20
+    assert [path for path in inside if path not in beside] == []
+
+
+def test_what_takes_the_place_of_another_is_on_the_disk_before(tmp_path, small, monkeypatch):
+    """Else, when the power fails, the name may be there and what it names not."""
+    synced, moved, early = set(), [], []
+    fsync, rmtree = os.fsync, shutil.rmtree
+
+    def version(stat):
+        return stat.st_ino, stat.st_mtime_ns
+
+    def sync(descriptor):
+        fsync(descriptor)
+        synced.add(version(os.fstat(descriptor)))
+
+    def check(*paths):
+        early.extend(path for path in paths if version(path.stat()) not in synced)
+
+    def moving(move):
+        def checked(path, target):
+            check(path, *path.rglob("*"))
+            moved.append(path)
+            return move(path, target)
+
+        return checked
+
+    def remove(path, **options):
+        if path.name.startswith("checkpoint-"):  # an older one
+            check(path.parent)
+            moved.append(path)
+        rmtree(path, **options)
+
+    for method in ("rename", "replace"):
+        monkeypatch.setattr(Path, method, moving(getattr(Path, method)))
+    monkeypatch.setattr(os, "fsync", sync)
+    monkeypatch.setattr(shutil, "rmtree", remove)
+    monkeypatch.setattr(recorder, "CHECKPOINT_SECONDS", 0.0)
+    recorder.train(Run(small(episodes=1), tmp_path), None)
+    assert {path.name[:4] for path in moved} >= {"tmp-", "chec", ".sta", ".mod"}
+    assert early == []
+
 
 ON_A_DISK = """
 import json, os, shutil, subprocess

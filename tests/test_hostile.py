@@ -10,7 +10,7 @@ import time
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from atari_dqn import __main__
@@ -128,6 +128,7 @@ FILES = {
     "half a character": (r'game: "\ud800"', r"game: '\ud800' is not allowed"),
     "right to left": (r'"\u202egamma": 1', r"unknown key '\u202egamma'"),
     "nothing": ("", "expected lines of 'key: value'"),
+    "a key that is a number": ("1: 2", "expected lines of 'key: value'"),
     "only a word": ("gamma", "expected lines of 'key: value'"),
     "two documents": ("gamma: 0.9\n---\ngamma: 0.8", "line 2: but found another document"),
     "a key twice": ("gamma: 0.9\ngamma: 0.8", 'line 2: found duplicate key "gamma"'),
@@ -301,6 +302,24 @@ def test_any_command_line_is_obeyed_or_refused_in_a_line(folder, words):
     status, _, err = command(folder, "train", "mine.yaml", *words)
     assert status in (0, 2)
     assert not status or (err.startswith("error: ") and is_one_line(err))
+
+
+MORE = ("--games", "--episode", "--episodes", "--first", "--last", "--all", "--profile", "--video")
+MORE += ("--difficulty", "--sticky", "--epsilon", "0.5", "-1", "nan", "1e400", "a.mp4", "a.npz")
+
+
+@hostile
+@given(
+    st.sampled_from(["evaluate", "watch", "replay", "export", "restore", "verify"]),
+    st.lists(WORDS | st.sampled_from(MORE), max_size=4),
+)
+@example("export", ["a.npz"])
+@example("replay", ["--episode", "1"])
+def test_any_command_line_about_a_folder_that_holds_no_run_is_refused(folder, name, words):
+    status, out, err = command(folder, name, "results", *words)
+    assert status == (0 if out else 2)
+    assert not status or (err.startswith("error: ") and all(map(is_one_line, err.splitlines())))
+    assert not out or out.startswith("Usage: "), "it was asked for help"
 
 
 def test_folders_may_be_named_with_spaces_and_letters_of_any_alphabet(folder):

@@ -379,6 +379,9 @@ def test_a_compiler_that_fails_is_quoted_and_the_next_one_tried(
     assert not quick.exists() or not list(quick.iterdir()), "something half-made is left"
     monkeypatch.setenv("CXX", f"{broken} -O1")
     assert native.compiled().parent == quick
+    monkeypatch.setattr(native, "COMPILERS", ("false",))
+    with pytest.raises(Unavailable, match=rf"broken cannot compile quick\.cpp: {told}$"):
+        native.compiled()
 
 
 def test_on_a_processor_without_the_instructions_pytorch_learns_and_says_so(quick, small):

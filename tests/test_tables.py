@@ -99,6 +99,16 @@ def test_damage_is_named_by_file_and_line(run, name, what):
         tables.check(run.folder)
 
 
+@pytest.mark.parametrize(("order", "line"), [((3, 0), 4), ((0, 3, 0), 6)])
+def test_evaluations_under_settings_out_of_their_order_are_named(run, order, line):
+    path = run.folder / tables.EVALUATIONS
+    head, *rows = path.read_text().splitlines(keepends=True)
+    under = {0: rows[:2], 3: rows[2:]}  # by difficulty
+    path.write_text("".join([head, *(row for each in order for row in under[each])]))
+    said = tables.damage(run)
+    assert said.startswith(f"{path}, line {line}: should be above: rows are sorted by ")
+
+
 @pytest.mark.parametrize("data", [b"", b"\0" * 100, bytes(range(256)) * 9, b"\xff\xfe", b"\n"])
 @pytest.mark.parametrize("name", TABLES)
 def test_what_is_no_table_at_all_is_named(run, name, data):
@@ -325,16 +335,30 @@ def test_a_report_names_a_damaged_run_and_goes_on(two, monkeypatch):
     assert build._moment(good.results).month == 2
 
 
-@pytest.mark.parametrize("damage", ["a letter", "a repeated row"])
-def test_a_damaged_file_of_styles_is_named_with_its_remedy(tmp_path, damage):
-    run = store(tmp_path, "boxing_final", DQN, np.ones(300))
+def tried(run):
+    """Gives a run what `robustness.measure` writes."""
+    run.robustness.parent.mkdir(parents=True)
+    trials = pd.DataFrame([Trial("sequence", 7, 1.0, 90, 300), Trial("mirrored", 0, 2.0, 90, 300)])
+    trials.to_csv(run.robustness, index=False)
+    return run.robustness
+
+
+def styled(run):
     style(run, np.ones(3))
+    return run.styles
+
+
+@pytest.mark.parametrize("measured", [styled, tried])
+@pytest.mark.parametrize("damage", ["a letter", "a repeated row"])
+def test_a_damaged_file_beside_a_run_is_named_with_its_remedy(tmp_path, measured, damage):
+    run = store(tmp_path, "boxing_final", DQN, np.ones(300))
+    path = measured(run)
     assert tables.damage(run) == ""
-    head, first, *rest = run.styles.read_text().splitlines(keepends=True)
+    head, first, *rest = path.read_text().splitlines(keepends=True)
     first = first + first if damage == "a repeated row" else "x" + first
-    run.styles.write_text("".join([head, first, *rest]))
+    path.write_text("".join([head, first, *rest]))
     said = tables.damage(run)
-    assert said.startswith(f"{run.styles}, line {3 if damage == 'a repeated row' else 2}: ")
+    assert said.startswith(f"{path}, line {3 if damage == 'a repeated row' else 2}: ")
     assert said.endswith("; without the file, `report` measures it again")
 
 

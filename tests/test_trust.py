@@ -17,7 +17,7 @@ CODE = sorted(path for name in ("src", "benchmarks") for path in (ROOT / name).r
 RUN_WHAT_THEY_READ = {"pickle", "dill", "cloudpickle", "joblib", "shelve", "marshal", "yaml"}
 UNSAFE = {
     *("eval", "exec", "os.system", "os.popen", "torch.load", "torch.save", "torch.jit.load"),
-    *("pandas.read_pickle", "pd.read_pickle"),
+    *("pandas.read_pickle", "pd.read_pickle", "__import__", "importlib.import_module"),
 }
 OPTIONS = {"allow_pickle", "shell"}
 
@@ -34,9 +34,11 @@ def unsafe(source):
             found += {module.split(".")[0]} & RUN_WHAT_THEY_READ
             found += {f"{module}.{name.name}" for name in node.names} & UNSAFE
         elif isinstance(node, ast.Call):
-            name = ast.unparse(node.func)
+            name = ast.unparse(node.func).removeprefix("builtins.")
             given = {word.arg: ast.unparse(word.value) for word in node.keywords}
             found += {name} & UNSAFE
+            if name in ("np.load", "numpy.load") and len(node.args) > 2:
+                found.append("allow_pickle")  # by its place
             found += {word for word in OPTIONS if given.get(word, "False") != "False"}
             if name.split(".")[-1] == "YAML" and given.get("typ") != "'safe'":
                 found.append(name)
@@ -56,6 +58,8 @@ def test_no_file_is_run_for_being_read():
         *("np.load(path, allow_pickle=True)", "np.load(path, allow_pickle=maybe)"),
         *("YAML()", "YAML(typ='unsafe')", "ruamel.yaml.YAML(pure=True)"),
         *("eval(text)", "exec(text)", "subprocess.run(text, shell=True)", "pd.read_pickle(path)"),
+        *("builtins.eval(text)", "np.load(path, None, True)", "__import__('pickle')"),
+        *("importlib.import_module(name)", "from importlib import import_module"),
     ],
 )
 def test_what_runs_what_it_reads_is_found(source):
