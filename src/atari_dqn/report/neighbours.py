@@ -104,6 +104,12 @@ def _of_other_openings(facts: GameFacts, games: dict[int, EpisodeRecord]) -> lis
     return [number for number in firsts.values() if number]
 
 
+def _off(places: Sequence[tuple[int, int]], others: Sequence[tuple[int, int]]) -> float:
+    """The mean distance between the places of some and their places elsewhere; nan of nobody."""
+    apart = np.array(places, float) - np.array(others, float)
+    return float(np.hypot(*apart.T).mean()) if len(apart) else np.nan
+
+
 def figure(pictures: Sequence[Sequence[tuple[str, np.ndarray]]], titles: Sequence[str]) -> Figure:
     """A row per moment, of pictures uint8 [210, 160, 3] with what is said under each; `titles`
     stand above the columns."""
@@ -124,9 +130,10 @@ def figure(pictures: Sequence[Sequence[tuple[str, np.ndarray]]], titles: Sequenc
 def show_neighbours(section: Section) -> pd.DataFrame:
     """Three moments of a game, and the states of other games that are nearest to each in the
     network's last hidden layer. Returns a row per picture: moment, game, step, points of the agent,
-    and distance, as a share of the mean between states of different games."""
+    distance, as a share of the mean between states of different games, and how far off the boxers
+    stand from their places at the moment (pixels, the mean of both; nan in other games)."""
     label = f"fig-{section.slug}-neighbours"
-    table = pd.DataFrame(columns=["moment", "game", "step", "points", "distance"])
+    table = pd.DataFrame(columns=["moment", "game", "step", "points", "distance", "off"])
     found = [(run, games) for run in section.usable if 0 in (games := evaluated(run))]
     if not found:
         show_placeholders(label)
@@ -143,17 +150,19 @@ def show_neighbours(section: Section) -> pd.DataFrame:
     pictures: list[list[tuple[str, np.ndarray]]] = []
     for moment, share in MOMENTS.items():
         at = int(share * (len(own.steps) - 1))
-        alike = nearest(own.features[at], [other.features for other in others])
-        shown = [(own, at, 0.0)]
-        shown += [(others[place], state, distance) for place, state, distance in alike[:NEAREST]]
-        pictures.append([])
-        for each, state, distance in shown:
+        alike = nearest(own.features[at], [other.features for other in others])[:NEAREST]
+        near = [(others[place], state, distance / mean) for place, state, distance in alike]
+        places, shown = own.there(run.params, at).places(), []
+        for each, state, distance in [(own, at, 0.0), *near]:
             env, step = each.there(run.params, state), each.steps[state]
-            table.loc[len(table)] = [moment, each.game, step, env.points()[0], distance / mean]
-            said = moment if each is own else f"game {each.game}"
-            said += f", {step * run.params.frame_skip / 60:.1f} s"
-            said += "" if each is own else f": {distance / mean:.2f}"
-            pictures[-1].append((said, env.render()))
+            off = _off(env.places(), places)
+            table.loc[len(table)] = [moment, each.game, step, env.points()[0], distance, off]
+            said = f"{step * run.params.frame_skip / 60:.1f} s"
+            said = (
+                f"{moment}, {said}" if each is own else f"game {each.game}, {said}: {distance:.2f}"
+            )
+            shown.append((said, env.render()))
+        pictures.append(shown)
     show_figure(
         figure(pictures, ["game 0", "nearest", "second", "third"]),
         label=label,
