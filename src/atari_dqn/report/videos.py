@@ -177,7 +177,7 @@ def show_heat(section: Section, label: str, seconds: int) -> None:
         label=label,
         caption=f"{params.title(run.agent)} after {games:,} training games: the first {seconds} "
         f"seconds of a game that ends with {_scored(video)}. "
-        f"{HEAT.format(f'fig-{section.slug}-saliency')} {MIND} {TRACE}",
+        f"{MIND} {TRACE} {HEAT.format(f'fig-{section.slug}-saliency')}",
         alt=ALT.format(f"{section.facts.title} with a layer of heat, where the network looks"),
         data=run.name,
         layer="heat",
