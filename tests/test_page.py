@@ -21,6 +21,8 @@ from atari_dqn.report import build, crossrefs, outputs
 from atari_dqn.runs.run import Run
 
 GREEN = (0, 160, 0)  # of a picture in a drawing, as the game's are
+RED = (200, 0, 0)  # of the half of a film that has a layer
+LAYER = 'a "layer" & more'
 WORDS = "The agent plays on, and the score says how well. " * 12
 LONG = r"$$" + " + ".join(rf"\gamma^{{{power}}} r_{{t+{power}}}" for power in range(20)) + "$$"
 TEXT = rf"""
@@ -119,18 +121,23 @@ width="{width}pt" height="{height}pt" viewBox="0 0 {width} {height}" version="1.
 xlink:href="data:image/png;base64,{picture}"/></svg>"""
 
 
-def film():
-    """A video of 64 x 48 pixels that lasts three seconds, and its poster."""
+def film(layer=""):
+    """A video of 64 x 48 pixels that lasts three seconds, and its poster, which is white; with a
+    layer, beside it another, which is red."""
+    width = 128 if layer else 64
     stream = io.BytesIO()
     with av.open(stream, "w", format="mp4") as file:
         track = file.add_stream("libx264", rate=10)
-        track.width, track.height, track.pix_fmt = 64, 48, "yuv420p"
+        track.width, track.height, track.pix_fmt = width, 48, "yuv420p"
         for level in range(30):
-            pixels = np.full((48, 64, 3), level * 8, np.uint8)
+            pixels = np.full((48, width, 3), level * 8, np.uint8)
+            pixels[:, 64:] = RED
             file.mux(track.encode(av.VideoFrame.from_ndarray(pixels)))
         file.mux(track.encode())
     poster = io.BytesIO()
-    Image.new("RGB", (64, 48)).save(poster, "png")
+    still = Image.new("RGB", (width, 48), "white")
+    still.paste(RED, (64, 0, width, 48))
+    still.save(poster, "png")
     return tuple(base64.b64encode(one.getvalue()).decode() for one in (stream, poster))
 
 
@@ -140,10 +147,10 @@ def figure(label, width, height):
     return new_output("display_data", data, metadata={"image/svg+xml": info})
 
 
-def video(label):
-    mp4, poster = film()
+def video(label, layer=""):
+    mp4, poster = film(layer)
     info = {"caption": f"A *film*. {'[Page.]{.page} [Paper.]{.paper}'}", "video": mp4}
-    info |= {"label": label, "alt": "A film of nothing in grey", "poster": poster}
+    info |= {"label": label, "alt": "A film of nothing in grey", "poster": poster, "layer": layer}
     data = {"text/html": "<video></video>", "image/png": poster}
     return new_output("display_data", data, metadata={"image/png": info})
 
@@ -175,7 +182,7 @@ def made(tmp_path_factory):
     cells = [
         new_markdown_cell("What was *found*.", metadata={"tags": ["abstract"]}),
         new_markdown_cell(TEXT),
-        *(new_code_cell("show()", outputs=[one]) for one in [*shown, video("vid-second")]),
+        *(new_code_cell("show()", outputs=[one]) for one in [*shown, video("vid-second", LAYER)]),
         new_markdown_cell("[]{#fig-later .absent}"),
         new_code_cell("show()", outputs=[hostile_table(folder / "results")]),
         new_markdown_cell(APPENDIX),
@@ -408,6 +415,58 @@ def test_videos_show_their_controls_only_to_who_points_at_them(show, html):
 
 def test_a_video_has_its_room_before_it_is_loaded(html):
     assert len(re.findall('<video[^>]* width="64" height="48"', html)) == 2
+
+
+HALF = "#vid-second video"  # of whose pictures the page shows one half
+SWITCH = "document.querySelector('#vid-second .switches button')"
+
+
+def test_a_videos_layer_is_switched_by_keyboard_while_it_plays_on(show):
+    page = show()
+    names = "[...document.querySelectorAll('.video .switches button')].map(one => one.textContent)"
+    assert page(names) == [LAYER], "no switch where there is no layer"
+    assert page(f"{SWITCH}.closest('[role=group]').ariaLabel") == "Layers shown"
+    page(f"{SECOND}.play()")
+    page.wait(f"{SECOND}.currentTime > 0")
+    page(f"{SECOND}.playbackRate = 1 / 16")  # it does not begin anew while it is watched
+    listen = f"{SECOND}.addEventListener(kind, () => disturbed.push(kind))"
+    page(f"window.disturbed = []; for (const kind of ['pause', 'seeking', 'emptied']) {listen}")
+    page(f"{SWITCH}.focus()")
+    for key, pressed in ((" ", "true"), ("Enter", "false"), ("Enter", "true")):
+        page.press(key)
+        assert page(f"{SWITCH}.ariaPressed") == pressed
+        red, green, _ = pixel(page, HALF, 0.5)
+        assert (red > green + 100) == (pressed == "true")
+    at = page(f"{SECOND}.currentTime")
+    page.wait(f"{SECOND}.currentTime !== {at}")
+    assert page("disturbed") == []
+
+
+@pytest.mark.parametrize("width", [1280, 390])
+def test_before_it_plays_a_video_with_a_layer_shows_the_half_that_is_chosen(show, width):
+    page = show(width=width)
+    assert page(f"{SECOND}.paused && {SECOND}.controls === false")
+    box = f"(({{ width, height }}) => width / height)({SECOND}.getBoundingClientRect())"
+    for off, colour in ((False, (255, 255, 255)), (True, RED)):
+        if off:
+            page.click("#vid-second .switches button")
+            page.move(0, 0)
+        assert page(box) == pytest.approx(64 / 48, abs=0.01), "of one half, once it is loaded too"
+        for down in (0.1, 0.9):
+            assert pixel(page, HALF, down) == pytest.approx(colour, abs=6)
+
+
+def test_without_javascript_a_video_with_a_layer_is_the_one_without_it(show):
+    page = show()
+    page.command("Emulation.setScriptExecutionDisabled", value=True)
+    try:
+        page.command("Page.reload")
+        page.wait("document.readyState === 'complete' && !document.querySelector('.switches')")
+    finally:
+        page.command("Emulation.setScriptExecutionDisabled", value=False)  # none has run
+    assert page(f"{SECOND}.controls")
+    for down in (0.1, 0.5):
+        assert pixel(page, HALF, down) == pytest.approx((255, 255, 255), abs=6)
 
 
 def test_a_tile_of_the_board_is_a_link_as_a_whole_and_says_its_verdict_in_a_word(show):

@@ -183,6 +183,59 @@ def test_three_contestants_play_until_the_last_has_finished(small):
     assert all(image(png).shape[1] >= module.WIDTH for png in (video.poster, video.strip))
 
 
+def test_beside_a_video_with_a_layer_lies_the_same_in_grey_under_its_light(small):
+    params = small(evaluation_epsilon=1.0)
+    network, given = untrained(params), []
+
+    def layer(observations):
+        given.append(observations)
+        light = np.zeros((*observations.shape[:3], 3), np.uint8)
+        light[:, :42, :, 2] = 255  # blue, over the upper half
+        return light
+
+    plain, _ = decoded(play_with_instruments(network, params, "Agent", 1, 0, (1, None)).mp4)
+    video = play_with_instruments(network, params, "Agent", 1, 0, (1, None), layer)
+    assert video == play_with_instruments(network, params, "Agent", 1, 0, (1, None), layer)
+    pictures, _ = decoded(video.mp4)
+    assert pictures.shape == (*plain.shape[:2], 2 * module.WIDTH, 3)
+    left, right = pictures[:, :, : module.WIDTH].astype(int), pictures[:, :, module.WIDTH :]
+    assert np.abs(left - plain).mean() < 3
+    screen = slice(module.MARGIN, module.MARGIN + 320)
+    middle, bottom = module.TOP + 210, module.TOP + 420  # of the television's picture
+    under, over = right[:-16, middle + 8 : bottom, screen], right[:, module.TOP : middle, screen]
+    assert np.ptp(under.astype(int), axis=3).mean() < 6, "grey"
+    grey = left[:-16, middle + 8 : bottom, screen] @ [0.299, 0.587, 0.114]
+    assert np.abs(under.mean(axis=3) - module.DUSK * grey).mean() < 6, "and darker"
+    red, _, blue = over[:, :-10].mean(axis=(0, 1, 2))
+    assert blue > 240
+    assert red < 120
+    beside = slice(module.RIGHT, None)
+    assert np.abs(right[:, :, beside].astype(int) - left[:, :, beside]).mean() < 3
+    assert image(video.poster).shape == pictures.shape[1:]
+    strip = image(video.strip).astype(int)
+    green = strip[:, :, 1] > strip[:, :, 2] + 20
+    assert green.mean() < 0.01, "on paper the pictures have the layer"
+
+    table = module.EpisodeInProgress(params)
+    table.replay(video.games[0].record)
+    seen = [table.planes.copy()]
+    for action in video.games[0].record.actions:
+        table.step(action)
+        seen.append(table.planes.copy())
+    assert (given[0] == np.stack(seen[15:]).reshape(-1, 4, 84, 84).transpose(0, 2, 3, 1)).all()
+
+
+def test_what_plays_one_video_plays_one_twice_as_wide(small):
+    params = small(max_game_frames=40)
+    network = untrained(params)
+    levels = [
+        video.mp4[video.mp4.index(b"avcC") + 7]  # of H.264, ten times; in the stream's description
+        for layer in (None, lambda seen: np.zeros((len(seen), 84, 84, 3), np.uint8))
+        for video in [play_with_instruments(network, params, "Agent", 1, 0, layer=layer)]
+    ]
+    assert max(levels) <= 41
+
+
 def test_contestants_must_keep_the_same_time(small):
     contestants = {}
     for skip in (4, 5):

@@ -21,8 +21,9 @@ def recorded(monkeypatch):
     )
     monkeypatch.setattr(videos, "_network", lambda run, games: (run.agent, games))
 
-    def play_with_instruments(network, params, title, seed, game, seconds=(None, None)):
+    def play_with_instruments(network, params, title, seed, game, seconds=(None, None), layer=None):
         seen.played = {"network": network, "title": title, "game": game, "seconds": seconds}
+        seen.played["layer"] = layer
         return SimpleNamespace(games=[SimpleNamespace(score=-7.0)])
 
     def side_by_side(contestants, seed, game, seconds):
@@ -31,8 +32,8 @@ def recorded(monkeypatch):
         scores = range(10, 10 + len(contestants))
         return SimpleNamespace(games=[SimpleNamespace(score=float(score)) for score in scores])
 
-    def show_video(video, label, caption, alt, data):
-        seen.captions[label], seen.data[label] = caption, data
+    def show_video(video, label, caption, alt, data, layer=""):
+        seen.captions[label], seen.data[label], seen.layer = caption, data, layer
 
     monkeypatch.setattr(videos, "play_with_instruments", play_with_instruments)
     monkeypatch.setattr(videos, "side_by_side", side_by_side)
@@ -85,3 +86,30 @@ def test_a_knock_out_is_one_that_the_agent_gives(tmp_path, recorded):
     assert recorded.played["game"] == 2
     assert recorded.played["seconds"] == (-15, None)
     assert facts(recorded.captions["vid-knockout"]) == ["Double DQN", 700, 15, 2, -7, 100]
+
+
+def test_heat_is_of_the_evaluated_run_that_scored_best_there(tmp_path, recorded, monkeypatch):
+    for agent, score in ((DQN, 30.0), (DOUBLE, 40.0), (DUELING, 90.0)):
+        run = store(tmp_path, "boxing_final", agent, np.zeros(700))
+        evaluate(run, games=4, trained=700, score=score)
+    monkeypatch.setattr(
+        videos.saliency, "first_evaluated", lambda run: None if run.agent == DUELING else "a game"
+    )
+    monkeypatch.setattr(videos.heat, "light", lambda network, seen: (network, seen))
+    videos.show_heat(study(tmp_path)["boxing_final"], "vid-heat", seconds=16)
+    assert recorded.played["network"] == (DOUBLE, 700)
+    assert (recorded.played["game"], recorded.played["seconds"]) == (0, (None, 16))
+    assert recorded.played["layer"]("seen") == ((DOUBLE, 700), "seen"), "of the same network"
+    assert recorded.layer == "heat"
+    caption = recorded.captions["vid-heat"]
+    assert facts(caption)[:4] == ["Double DQN", 700, 16, -7]
+    assert "@fig-boxing-final-saliency" in caption
+
+
+def test_without_an_evaluated_game_there_is_no_heat_and_its_place_is_held(
+    tmp_path, recorded, shown
+):
+    store(tmp_path, "boxing_final", DQN, np.zeros(700))
+    videos.show_heat(study(tmp_path)["boxing_final"], "vid-heat", seconds=16)
+    assert recorded.played is None
+    assert shown.texts == ["[]{#vid-heat .absent}"]

@@ -183,9 +183,12 @@ def _moment(folder: Path) -> datetime | None:
     return max((datetime.fromisoformat(one["started"]) for one in sessions), default=None)
 
 
-def _size(png: str) -> str:
-    """The size of a PNG image (base64) in HTML's words: a page that knows it does not jump."""
-    return 'width="{}" height="{}"'.format(*struct.unpack(">II", base64.b64decode(png)[16:24]))
+def _size(png: str, halves: int = 1) -> str:
+    """The size of a PNG image (base64), or of one of its halves, in HTML's words: a page that knows
+    it does not jump."""
+    width, height = struct.unpack(">II", base64.b64decode(png)[16:24])
+    width //= halves
+    return f'width="{width}" height="{height}" style="aspect-ratio: {width} / {height}"'
 
 
 # In a dark page a drawing is seen in negative, hues kept; pictures within it are turned back.

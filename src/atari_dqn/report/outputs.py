@@ -89,8 +89,14 @@ def show_figure(figure: Figure, label: str, caption: str, alt: str, data: str = 
     _show_caption(label, caption)
 
 
-def show_video(video: "Video", label: str, caption: str, alt: str, data: str = "") -> None:
-    """Shows a video on the page; on paper, a strip of its pictures. `label` is vid-..."""
+def show_video(
+    video: "Video", label: str, caption: str, alt: str, data: str = "", layer: str = ""
+) -> None:
+    """Shows a video on the page; on paper, a strip of its pictures. `label` is vid-...
+
+    `layer` is the name of the layer that its right half has and the left half lacks: the page shows
+    one of them, and has a switch of that name.
+    """
     meta = {
         "label": label,
         "caption": caption,
@@ -98,6 +104,7 @@ def show_video(video: "Video", label: str, caption: str, alt: str, data: str = "
         "data": data,
         "video": base64.b64encode(video.mp4).decode(),
         "poster": base64.b64encode(video.poster).decode(),
+        "layer": layer,
     }
     bundle = {
         "text/html": f'<video controls loop src="data:video/mp4;base64,{meta["video"]}"></video>',

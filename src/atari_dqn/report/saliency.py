@@ -242,8 +242,15 @@ def show_saliency(section: Section) -> None:
 def first_evaluated(run: Run) -> EpisodeRecord | None:
     """The record of the first evaluation game, as it was trained, of a run's newest model; None
     without one."""
+    return evaluated(run).get(0)
+
+
+def evaluated(run: Run) -> dict[int, EpisodeRecord]:
+    """The records of all those evaluation games, by their numbers."""
     if not (run.folder / records.FILE).exists():
-        return None
+        return {}
     games = records.as_trained(run.params, records.read_file(run.folder, torn=True))
-    firsts = {heading["trained_games"]: record for heading, record in games if not heading["game"]}
-    return firsts[max(firsts)] if firsts else None
+    newest = max((heading["trained_games"] for heading, _ in games), default=0)
+    return {
+        heading["game"]: record for heading, record in games if heading["trained_games"] == newest
+    }

@@ -9,11 +9,11 @@ Canvases are uint8 [height, width, 3]; places on them are pixels from the upper 
 
 import io
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cache
-from itertools import chain, cycle
+from itertools import chain, cycle, islice
 from pathlib import Path
 
 import av
@@ -36,6 +36,9 @@ from atari_dqn.schedules import epsilon_greedy
 
 Seconds = tuple[float | None, float | None]  # of the game, as in a slice: (None, 10), (-12, None)
 Colour = tuple[int, int, int]  # red, green, blue
+# From the observations that a video shows, uint8 [N, 84, 84, stack], to light that lies over their
+# pictures, uint8 [N, 84, 84, 3]
+Layer = Callable[[np.ndarray], np.ndarray]
 
 WIDTH, MARGIN, TOP = 720, 16, 48  # pixels; the television pictures begin at TOP
 RIGHT, GAP = 352, 4  # pixels; the right column of a video with instruments, between its images
@@ -45,18 +48,23 @@ MOMENTS = 4, 5  # pictures of a game in a strip: of one or two games; of more, s
 GROUND, PANEL, RULE = (20, 23, 26), (34, 38, 42), (70, 76, 82)
 INK, SOFT, BAR = (238, 240, 241), (170, 178, 184), (118, 126, 133)
 WHITE_IN = 0.3  # of an agent's colour, so that it holds its own on a dark ground
+DUSK = 0.6  # of a picture's brightness, so that light over it can be seen
 
 # The pictures are flat and mostly still, and what flickers keeps returning to how it was before:
 # key pictures may be rare, and many earlier pictures are worth remembering.
-ENCODER = {"preset": "slow", "tune": "animation", "crf": "30", "g": "600", "refs": "16"}
+ENCODER = {"preset": "slow", "tune": "animation", "crf": "30", "g": "600"}
 ENCODER |= {"chromaoffset": "-4"}  # else grey keeps a tinge of the colours that were there
 if torch.backends.cpu.get_cpu_capability() == "AVX512":
     ENCODER |= {"x264-params": "asm=AVX2"}  # x264's AVX-512 code gives other bytes now and then
+REMEMBERED = 16, 32768  # earlier pictures, and squares of 16 pixels in them, that players remember
 
 
 @dataclass(frozen=True)
 class Video:
-    """A video, and what stands for it where it cannot be played."""
+    """A video, and what stands for it where it cannot be played.
+
+    One with a layer is twice as wide: without it, and beside that with it.
+    """
 
     mp4: bytes  # H.264: a picture an agent step; the game's last is held for a second
     poster: bytes  # PNG, a telling picture of it
@@ -71,12 +79,13 @@ def play_with_instruments(
     seed: int,
     game: int,
     seconds: Seconds = (None, None),
+    layer: Layer | None = None,
 ) -> Video:
     """Plays game number `game` as `evaluation.play` would, and records it with its instruments.
 
-    `seconds` cuts an excerpt.
+    `seconds` cuts an excerpt. A `layer` is drawn in a second copy of the picture beside it.
     """
-    return _video({title: record(network, params, seed, game)}, seconds)
+    return _video({title: record(network, params, seed, game)}, seconds, layer)
 
 
 def side_by_side(
@@ -177,8 +186,8 @@ def record(network: nn.Module, params: Parameters, seed: int, game: int) -> Reco
     return Recording(params, episode.result(seed), critic.symbol, *arrays)
 
 
-def _video(recordings: dict[str, Recording], seconds: Seconds) -> Video:
-    """A video of one game with its instruments, or of several side by side."""
+def _video(recordings: dict[str, Recording], seconds: Seconds, layer: Layer | None = None) -> Video:
+    """A video of one game with its instruments and perhaps a layer, or of several side by side."""
     games = list(recordings.values())
     rate, longest = games[0].rate, max(len(game.actions) for game in games)
     if any(game.rate != rate for game in games):
@@ -192,21 +201,33 @@ def _video(recordings: dict[str, Recording], seconds: Seconds) -> Video:
     pictures = MOMENTS[len(games) > 2]
     moments = np.linspace(steps[0], steps[-1], pictures).round().astype(int).tolist()
     kept = {}  # the television pictures of the moments
+    lights = layer(_seen(games[0], steps)) if layer else None
 
     def drawn() -> Iterator[np.ndarray]:
         nonlocal poster
         for step in stage.play(steps):
+            canvas = stage.canvas
+            if lights is not None:
+                plain = canvas.copy()
+                stage.columns[0].shine(lights[step - steps[0]])
+                canvas = np.hstack([plain, canvas])
             if step == poster_step:
                 smallest = [cv2.IMWRITE_PNG_COMPRESSION, 9]
-                poster = cv2.imencode(".png", stage.canvas[:, :, ::-1], smallest)[1].tobytes()
+                poster = cv2.imencode(".png", canvas[:, :, ::-1], smallest)[1].tobytes()
             if step in moments:
                 kept[step] = [column.picture for column in stage.columns]
             for _ in range(1 + round(rate) if step == longest else 1):
-                yield stage.canvas
+                yield canvas
 
     mp4 = _encoded(drawn(), rate)
     strip = _strip(recordings, kept, steps)
     return Video(mp4, poster, strip, tuple(game.result for game in games))
+
+
+def _seen(game: Recording, steps: range) -> np.ndarray:
+    """The observations at some steps of a game, uint8 [steps, 84, 84, stack]."""
+    replayed = islice(game.replay(), steps.start, steps.stop)
+    return interleave(np.stack([episode.planes.copy() for episode in replayed], axis=1))
 
 
 def television(games: Iterator[AtariEnv]) -> bytes:
@@ -225,7 +246,7 @@ def _encoded(pictures: Iterator[np.ndarray], rate: Fraction) -> bytes:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "video.mp4")  # a file, as its index is moved to the front in the end
         with av.open(str(path), "w", format="mp4", options={"movflags": "faststart"}) as container:
-            stream = container.add_stream("libx264", rate=rate, options=ENCODER)
+            stream = container.add_stream("libx264", rate=rate)
             stream.pix_fmt = "yuv420p"
             stream.codec_context.thread_count = 1  # the same bytes every time
             stream.codec_context.colorspace = Colorspace.ITU709
@@ -233,6 +254,9 @@ def _encoded(pictures: Iterator[np.ndarray], rate: Fraction) -> bytes:
             for number, picture in enumerate(pictures):
                 if number == 0:
                     stream.height, stream.width, _ = picture.shape
+                    squares = -(-stream.height // 16) * -(-stream.width // 16)
+                    refs = min(REMEMBERED[0], REMEMBERED[1] // squares)  # level 4.1 of H.264
+                    stream.codec_context.options = {**ENCODER, "refs": str(refs)}
                 frame = av.VideoFrame.from_ndarray(picture, format="rgb24")
                 frame = frame.reformat(
                     format="yuv420p", dst_colorspace=Colorspace.ITU709, threads=1
@@ -337,6 +361,15 @@ class _Column:
         value = _number(game.values[now], self.decimals)
         _write(self.under, value, width, 62, 18, self.colour, bold=True, align=1)
         self._draw_trace(now)
+
+    def shine(self, light: np.ndarray) -> None:
+        """Lays light, uint8 [84, 84, 3], over the step that has been drawn, which becomes grey and
+        darker: on a ground of colours it could not be told from these."""
+        height, width, _ = self.screen.shape
+        clear = 1 - cv2.resize(light, (width, height), interpolation=cv2.INTER_CUBIC) / 255
+        for drawn in (self.picture, self.screen):
+            grey = cv2.cvtColor(drawn, cv2.COLOR_RGB2GRAY)[:, :, None] * DUSK
+            drawn[:] = np.rint(255 - (255 - grey) * clear)
 
     def _draw_trace(self, step: int) -> None:
         plot = self.ground[:, self.left :].copy()

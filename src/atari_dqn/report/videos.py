@@ -1,5 +1,6 @@
 """The videos that the report shows: of which runs, which games, and what their captions say."""
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ from atari_dqn import params
 from atari_dqn.agents import AGENTS
 from atari_dqn.analysis.study import Section
 from atari_dqn.games import KNOCK_OUT
+from atari_dqn.report import heat, saliency
 from atari_dqn.report.outputs import show_absent, show_placeholders, show_video
 from atari_dqn.report.video import Video, play_with_instruments, side_by_side
 from atari_dqn.runs import models
@@ -29,6 +31,14 @@ TRACE = (
     "above it for points scored and grey ones below it for points conceded.]{.page} [Below the "
     "pictures: the value of the best action (max Q), or of the state (V(s)) if the network has a "
     "stream for it, with a thin line at each picture.]{.paper}"
+)
+# What lies over the pictures of a video with a layer of heat
+HEAT = (
+    "[The switch makes the picture grey and lays over it]{{.page}}[Over the pictures, made grey,]"
+    "{{.paper}} how steeply the values change with the brightness of each pixel of the newest "
+    "image [@wang2016], a little smoothed; orange: the value of the state, blue: the advantage of "
+    "the best action, each on one scale throughout. The maps of @{} show what changes when a place "
+    "is blurred; a slope tells of a change too small to be seen, of one pixel by itself."
 )
 ALT = "A video of {}: the game, what the network sees, the value of every action and the score."
 
@@ -146,6 +156,33 @@ def show_knockout(section: Section, label: str) -> None:
         f"{TRACE}",
         alt=ALT.format("a knock-out"),
         data=run.name,
+    )
+
+
+def show_heat(section: Section, label: str, seconds: int) -> None:
+    """The first seconds of the first evaluation game of the agent that evaluates best, with a
+    layer of what its values depend on."""
+    evaluated = [(run, games) for run, games in _newest(section) if saliency.first_evaluated(run)]
+    if not evaluated:
+        show_placeholders(label)
+        return
+    means = section.evaluations.groupby(["agent", "seed"]).score.mean()
+    run, games = max(evaluated, key=lambda item: means[item[0].agent, item[0].seed])
+    network = _network(run, games)
+    title = f"{params.title(run.agent)}, {games:,} games"
+    layer = partial(heat.light, network)
+    video = play_with_instruments(
+        network, run.params, title, run.seed, GAME, (None, seconds), layer
+    )
+    show_video(
+        video,
+        label=label,
+        caption=f"{params.title(run.agent)} after {games:,} training games: the first {seconds} "
+        f"seconds of a game that ends with {_scored(video)}. "
+        f"{MIND} {TRACE} {HEAT.format(f'fig-{section.slug}-saliency')}",
+        alt=ALT.format(f"{section.facts.title} with a layer of heat, where the network looks"),
+        data=run.name,
+        layer="heat",
     )
 
 

@@ -6,7 +6,7 @@ for (const source of document.querySelectorAll("script.curves")) {
   if (image) interactive(image, JSON.parse(source.textContent));
 }
 
-function interactive(image, { panels, switches }) {
+function interactive(image, { panels, switches: named }) {
   const off = new Set();
   const shown = (artist) => !artist.switches.some((name) => off.has(name));
 
@@ -44,7 +44,7 @@ function interactive(image, { panels, switches }) {
   image.addEventListener("pointerleave", leave);
 
   // Switches: what one of them has switched off is not in the picture, nor among the values.
-  if (switches.length < 2) return;
+  if (named.length < 2) return;
   const data = image.src.slice(image.src.indexOf(",") + 1);
   const bytes = Uint8Array.from(atob(data), (letter) => letter.charCodeAt(0));
   const drawing = new DOMParser().parseFromString(new TextDecoder().decode(bytes), "image/svg+xml");
@@ -55,25 +55,16 @@ function interactive(image, { panels, switches }) {
     const text = new XMLSerializer().serializeToString(drawing);
     image.src = `data:image/svg+xml;charset=utf-8,${encodeURIComponent(text)}`;
   };
-  const buttons = document.createElement("div");
-  buttons.className = "switches";
-  buttons.setAttribute("role", "group");
-  buttons.setAttribute("aria-label", "Curves shown");
-  buttons.append(element("span", "Click to hide:"));
-  for (const { name, colour, marks } of switches) {
-    const button = element("button", name);
-    button.type = "button";
+  const group = switches("Curves shown", "Click to hide:", named.map(({ name }) => [name, true, (on) => {
+    if (on) off.delete(name); else off.add(name);
+    redraw();
+  }]));
+  [...group.querySelectorAll("button")].forEach((button, number) => {
+    const { colour, marks } = named[number];
     if (marks) button.dataset.marks = marks;
     button.style.setProperty("--line-colour", colour);
-    button.setAttribute("aria-pressed", "true");
-    button.addEventListener("click", () => {
-      if (!off.delete(name)) off.add(name);
-      button.setAttribute("aria-pressed", String(!off.has(name)));
-      redraw();
-    });
-    buttons.append(button);
-  }
-  frame.after(buttons);
+  });
+  frame.after(group);
 }
 
 // Where the picture itself lies, without the image's padding.

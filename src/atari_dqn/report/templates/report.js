@@ -17,6 +17,25 @@ function element(name, text) {
   return made;
 }
 
+// Buttons that are pressed or not, and say so: [name, whether pressed, what follows a change].
+function switches(label, hint, buttons) {
+  const group = document.createElement("div");
+  group.className = "switches";
+  group.setAttribute("role", "group");
+  group.setAttribute("aria-label", label);
+  group.append(element("span", hint));
+  for (const [name, first, change] of buttons) {
+    const button = element("button", name);
+    let pressed = first;
+    const say = () => button.setAttribute("aria-pressed", String(pressed));
+    button.type = "button";
+    button.addEventListener("click", () => { pressed = !pressed; say(); change(pressed); });
+    say();
+    group.append(button);
+  }
+  return group;
+}
+
 // What a citation or a reference stands for, on hover and on focus: the entry, the formula, the
 // picture or the table's first rows with their caption, or a section's title and first sentence.
 const FIRST_ROWS = 5;
@@ -146,6 +165,11 @@ for (const video of videos) {
   video.addEventListener("play", state);
   video.addEventListener("pause", state);
   state();
+  const { layer } = video.dataset;
+  if (layer) {  // both halves of its pictures play all the time
+    const change = (on) => video.classList.toggle("layered", on);
+    video.parentElement.after(switches("Layers shown", "Click to show or hide:", [[layer, false, change]]));
+  }
 }
 if (videos.length && !window.matchMedia("(prefers-reduced-motion: reduce)").matches) {
   const [hero] = videos;
