@@ -104,6 +104,25 @@ def test_a_small_section_depends_on_the_bases_of_its_file_too(notebook, tmp_path
     assert fingerprint.fingerprint(notebook, "smoke", tmp_path) != before
 
 
+@pytest.mark.parametrize("by", ["itself", "a module", "nothing"])
+def test_measurements_count_where_they_are_read(notebook, tmp_path, monkeypatch, by):
+    shutil.copytree(ROOT / "params", tmp_path / "params")
+    shutil.copy(ROOT / "pyproject.toml", tmp_path)
+    monkeypatch.chdir(tmp_path)
+    code = notebook.read_text()
+    if by == "itself":
+        code = code.replace("schedules", "params; read('results/benchmarks/speed.csv')")
+    elif by == "a module":
+        code = code.replace("atari_dqn import schedules", "atari_dqn.report import cost")
+    notebook.write_text(code)
+    before = fingerprint.fingerprint(notebook, "smoke", tmp_path)
+    speed = tmp_path / "results" / "benchmarks" / "speed.csv"
+    speed.parent.mkdir(parents=True)
+    speed.write_text("steps\n1\n")
+    changed = fingerprint.fingerprint(notebook, "smoke", tmp_path) != before
+    assert changed == (by != "nothing")
+
+
 def run_folder(name, results):
     parameters = params.load(ROOT / "params" / "smoke" / f"{name}.yaml")
     return runs_of(parameters, results)[0].folder

@@ -412,7 +412,7 @@ def test_asking_a_processor_for_the_instructions_takes_none_of_them():
     assert "_GLOBAL__sub_I" not in whole, "something runs as soon as the library is loaded"
 
 
-def test_a_damaged_library_is_compiled_anew(quick):
+def test_a_damaged_library_is_compiled_again(quick):
     library = native.compiled()
     whole = library.read_bytes()
     library.write_bytes(b"")

@@ -238,7 +238,7 @@ def test_the_command_line_restores_and_tells_how_to_go_on(tmp_path, capsys, monk
     run = run_of(tmp_path)
     recorder.train(run)
     shutil.rmtree(run.state_folder)
-    with pytest.raises(RunError, match=f"restore {run.folder}` makes it anew"):
+    with pytest.raises(RunError, match=f"restore {run.folder}` makes it again"):
         recorder.train(run_of(tmp_path, episodes=GAMES + 1))
     __main__.app(["restore", str(run.folder)], standalone_mode=False)
     assert f"has a checkpoint of game {GAMES};" in capsys.readouterr().out

@@ -47,7 +47,7 @@ def test_scores_at_marks_are_ours_by_agent_and_seed_beside_the_source_reports(tm
     store(tmp_path, "boxing_final", DOUBLE, windows(means, FAR))
     store(tmp_path, "boxing_final", DQN, windows({(501, 1000): -3}, FAR), seed=2)
     results.show_milestones(Section("boxing_final", "full", str(tmp_path), [DQN, DOUBLE], [1, 2]))
-    rows = shown.tables["tbl-boxing-final-marks"]
+    rows = shown.tables["tbl-boxing-final-milestones"]
     marks = ["500", "1000", "1500", "2000", "2500", "3000"]
     found = [(row["agent"], row["whose"], [row[mark] for mark in marks]) for row in rows]
     assert found == [
@@ -61,7 +61,7 @@ def test_scores_at_marks_are_ours_by_agent_and_seed_beside_the_source_reports(tm
             ["36.27", "72.43", "83.42", "88.13", "88.34", "89.79"],
         ),
     ]
-    caption = shown.captions["tbl-boxing-final-marks"]
+    caption = shown.captions["tbl-boxing-final-milestones"]
     assert caption.startswith("Boxing, final settings: mean raw score of the last 500 games")
     assert "Human 12.1, random play 0.1" in caption
 
@@ -77,10 +77,10 @@ def test_marks_of_a_shorter_experiment_are_sixths_of_its_games(tmp_path, shown):
     }
     store(tmp_path, "boxing_low_gamma", DUELING, windows(sixths, FAR, after=0))
     results.show_milestones(study(tmp_path)["boxing_low_gamma"])
-    (row,) = shown.tables["tbl-boxing-low-gamma-marks"]
+    (row,) = shown.tables["tbl-boxing-low-gamma-milestones"]
     assert list(row) == ["agent", "whose", "167", "333", "500", "667", "833", "1000"]
     assert list(row.values())[2:] == ["1.00", "2.00", "3.00", "4.00", "5.00", "6.00"]
-    assert "of the last 166 games" in shown.captions["tbl-boxing-low-gamma-marks"]
+    assert "of the last 166 games" in shown.captions["tbl-boxing-low-gamma-milestones"]
 
 
 KNOCKED = [1] * 10 + [-1] * 20 + [0] * 10  # of 40 games, a quarter by knock-out, half knocked out

@@ -242,7 +242,7 @@ def replay(
 
 @app.command()
 def restore(run_dir: RunFolder) -> None:
-    """Make a lost checkpoint anew from a run's games, tables and model, to train on from."""
+    """Make a lost checkpoint again from a run's games, tables and model, to train on from."""
     model_file(run_dir)  # raises before imports that take seconds
 
     from atari_dqn.runs.restore import restore as restored

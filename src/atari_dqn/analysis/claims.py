@@ -14,7 +14,6 @@ from atari_dqn.analysis.verdicts import (
     DUELING,
     Outcome,
     Verdict,
-    above,
     all_of,
     apart,
     beaten_everywhere,
@@ -28,6 +27,7 @@ from atari_dqn.analysis.verdicts import (
     human_level,
     improves,
     improves_greedily,
+    more_by,
     negated,
     overestimation,
     runs_finished,
@@ -250,7 +250,7 @@ FINDINGS = (
                     "boxing_transfer",
                     "boxing_final",
                     milestone=milestone,
-                    rule=above(MARGIN),
+                    rule=more_by(MARGIN),
                 )
             ]
         ),

@@ -605,7 +605,7 @@ def beside_source(section: Section) -> str:
     source, said = data("source_report"), dict[str, list[str]]()
     theirs = source.get(section.params.experiment, {})
     for agent, milestones in theirs.items() if section.params.episodes == MILESTONES[-1] else ():
-        for milestone, score in reversed(list(zip(source["marks"], milestones, strict=True))):
+        for milestone, score in reversed(list(zip(source["milestones"], milestones, strict=True))):
             first = milestone - section.milestone_window + 1
             ours = section.scores(agent, first, milestone)
             if score is not None and len(ours):

@@ -35,6 +35,7 @@ from atari_dqn.analysis.statistics import (
     welch_interval,
 )
 from atari_dqn.analysis.study import Section, Study
+from atari_dqn.games import GAMES
 from atari_dqn.runs.run import as_trained
 
 DQN, DOUBLE, DUELING = "dqn", "double_dqn", "dueling_double_dqn"
@@ -84,7 +85,7 @@ def all_of(verdicts: list[Verdict]) -> Verdict:
 Rule = Callable[[float, float], Outcome]  # what an interval of a difference says of a claim
 
 
-def above(margin: float) -> Rule:
+def more_by(margin: float) -> Rule:
     """The rule for "more, by more than `margin`"."""
 
     def rule(low: float, high: float) -> Outcome:
@@ -95,7 +96,7 @@ def above(margin: float) -> Rule:
     return rule
 
 
-MORE = above(0.0)
+MORE = more_by(0.0)
 
 
 def apart(margin: float) -> Rule:
@@ -143,7 +144,7 @@ def exceeds(section: Section, agent: str, first: int, last: int, score: float) -
     if found is None:
         return _not_yet(section)
     said = f"{params.title(agent)} {found} against {score:g}"
-    return Verdict(above(score)(found.low, found.high), said, found.seeds)
+    return Verdict(more_by(score)(found.low, found.high), said, found.seeds)
 
 
 def compare_scores(
@@ -531,7 +532,7 @@ def compare_steadiness(
     )
 
 
-DIFFICULTIES = 4  # of Boxing
+DIFFICULTIES = len(GAMES["boxing"].difficulties)
 
 
 def beaten_everywhere(study: Study) -> Verdict:

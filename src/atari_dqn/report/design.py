@@ -225,7 +225,7 @@ def source_scores() -> pd.DataFrame:
     return pd.DataFrame(
         [
             {"game": GAMES[name.partition("_")[0]].title, "agent": params.title(agent)}
-            | dict(zip(map(str, source["marks"]), scores, strict=True))
+            | dict(zip(map(str, source["milestones"]), scores, strict=True))
             for name in ("boxing_final", "breakout_final")
             for agent, scores in source[name].items()
         ]

@@ -19,8 +19,8 @@ from atari_dqn.runs.run import Run, runs_of
 
 def fingerprint(notebook: Path, profile: str, results: Path) -> str:
     """SHA-256 (hex) of a notebook and what it depends on: the modules that it imports, directly
-    or through others; the data files beside it; the stored benchmarks; the stored runs of the
-    experiments that it names.
+    or through others; the data files beside it; the stored benchmarks, if any of that code reads
+    them; the stored runs of the experiments that it names.
     """
     source = notebook.read_text(encoding="utf-8")
     code = "\n".join(
@@ -31,11 +31,18 @@ def fingerprint(notebook: Path, profile: str, results: Path) -> str:
     digest = hashlib.sha256(f"{profile}\n{crossrefs.from_notebook(source)}".encode())
     if "project_files" in code:  # a drawing of their names
         digest.update("\n".join(source_files()).encode())
-    measured = sorted((project_root() / "results" / "benchmarks").glob("*.*"))
-    for path in [*_modules(code), *_data(notebook), *measured, *_stored(code, profile, results)]:
+    modules = _modules(code)
+    paths = [*modules, *_data(notebook), *_stored(code, profile, results)]
+    sources = [code, *(path.read_text(encoding="utf-8") for path in modules)]
+    if any(READS_BENCHMARKS.search(source) for source in sources):
+        paths += sorted((project_root() / "results" / "benchmarks").glob("*.*"))
+    for path in paths:
         digest.update(f"{path.parent.name}/{path.name}\n".encode())
         digest.update(path.read_bytes())
     return digest.hexdigest()
+
+
+READS_BENCHMARKS = re.compile(r"""["'](results/)?benchmarks\b""")  # a part of a path, not of a text
 
 
 def _modules(code: str) -> list[Path]:

@@ -106,7 +106,7 @@ def source_points(section: Section) -> pd.DataFrame:
     if section.milestones == MILESTONES:
         for agent, scores in source.get(section.params.experiment, {}).items():
             if agent in section.params.agents:
-                points = zip(source["marks"], scores, strict=True)
+                points = zip(source["milestones"], scores, strict=True)
                 rows += [(agent, *point, section.milestone_window) for point in points]
     return pd.DataFrame(rows, columns=["agent", "episode", "score", "window"])
 
@@ -114,7 +114,7 @@ def source_points(section: Section) -> pd.DataFrame:
 def show_milestones(section: Section) -> None:
     """The mean score of the last games at each milestone that a run has reached, and the source
     report's."""
-    label = f"tbl-{section.slug}-marks"
+    label = f"tbl-{section.slug}-milestones"
     milestones = section.milestones
     if section.episodes.empty:
         show_placeholders(label)
@@ -132,7 +132,7 @@ def show_milestones(section: Section) -> None:
     source = data("source_report")
     theirs = source.get(section.params.experiment, {}) if milestones == MILESTONES else {}
     for agent, scores in theirs.items():
-        row = dict(zip(source["marks"], scores, strict=True))
+        row = dict(zip(source["milestones"], scores, strict=True))
         tables.append(pd.DataFrame([{"agent": agent, "seed": "source report", **row}]))
     table = pd.concat(tables).sort_values("agent", key=_rank, kind="stable").astype({"seed": str})
     table[list(milestones)] = table[list(milestones)].astype(float)

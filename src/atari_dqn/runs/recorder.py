@@ -210,7 +210,7 @@ class Recorder:
             raise RunError(
                 f"{self.run.folder} holds {games} games, but their checkpoint is not in "
                 f"{self.run.state_folder}; `python -m atari_dqn restore {self.run.folder}` makes "
-                f"it anew, {RESTART}"
+                f"it again, {RESTART}"
             )
 
     def _compare_sessions(self) -> None:
