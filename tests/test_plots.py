@@ -68,6 +68,7 @@ def test_every_seed_has_its_own_curve_against_each_unit(panels, unit, a_game):
     (xs, ys), *_ = curves(panels[unit], DOUBLE)
     assert xs == pytest.approx(SHOWN * a_game)
     assert ys == pytest.approx(slope(0.5))
+    assert "score" in panels[unit].get_ylabel() or unit.startswith("hours")
 
 
 def test_the_bold_curve_is_the_mean_of_an_agents_seeds(panels):
@@ -327,6 +328,7 @@ def test_evaluation_scores_stand_beside_their_agent(tmp_path, shown):
         assert high - low == pytest.approx(2 * 1.96 * 2 / 12**0.5 / 40**0.5, abs=0.06)
         assert low < means[place] < high
     assert len(spans) == 2
+    assert axes.get_xlabel() == "score of a game"
     assert {"10.0", "30.0", "human 12.1", "random play 0.1"} == {
         note.get_text() for note in axes.texts
     }

@@ -14,6 +14,7 @@ from conftest import SMALL
 
 from atari_dqn import __main__, params
 from atari_dqn.envs import EpisodeRecord
+from atari_dqn.report import watch as watching
 from atari_dqn.report import window
 from atari_dqn.report.watch import watch
 from atari_dqn.report.window import Window
@@ -69,6 +70,14 @@ def test_without_a_display_the_evaluation_games_go_to_a_new_video(folder, tmp_pa
     assert pictures(tmp_path / "small-double_dqn-seed-1-2.mp4") == (table.length + 1).sum()
     assert (tmp_path / "small-double_dqn-seed-1.mp4").read_text() == "of another day"
     assert contents(folder) == before, "nothing is stored"
+
+
+@pytest.mark.parametrize(
+    ("knockout", "won", "said"),
+    [(1, True, ", knock-out"), (-1, False, ", knocked out"), (0, True, ", won"), (0, False, "")],
+)
+def test_how_a_game_ends_is_told_from_the_agents_side(knockout, won, said):
+    assert watching._ending(SimpleNamespace(knockout=knockout, won=won)) == said
 
 
 def test_other_conditions_are_those_that_are_played(folder, monkeypatch):
