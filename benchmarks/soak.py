@@ -4,11 +4,11 @@ not; and does its process hold no more memory in the end than in the beginning?
     python benchmarks/soak.py [--minutes 60] [--kills 20] [--load 2]
 
 A real run of Boxing, whose games are cut short, is trained twice: undisturbed, for about a third of
-the time, since what comes then takes longer and is no less than that; and killed with SIGKILL at
-random moments beside `--load` other processes that keep the cores busy. The files of both, and
-their last checkpoints, are then compared byte for byte, but for what the clock decides (timing.csv,
-provenance.json). Adds a line to results/benchmarks/soak.csv, in which `megabytes_1` to
-`megabytes_4` are the most that the undisturbed process held in each quarter.
+the time, since what follows takes longer; and killed with SIGKILL at random moments beside `--load`
+other processes that keep the cores busy. The files of both, and their last checkpoints, are then
+compared byte for byte, but for what the clock decides (timing.csv, provenance.json). Adds a line to
+results/benchmarks/soak.csv, in which `megabytes_1` to `megabytes_4` are the most that the
+undisturbed process held in each quarter of its time.
 """
 
 import argparse

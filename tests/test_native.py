@@ -526,8 +526,9 @@ def allocated():
 
 @pytest.mark.skipif(not hasattr(ctypes.CDLL(None), "mallinfo2"), reason="glibc counts its memory")
 def test_memory_does_not_grow_from_update_to_update():
-    """By byte, so that few updates tell what ten thousand would."""
-    parameters = Parameters(experiment="any", frame_stack=1, freeze_convolutions=True)
+    """By byte, so that few updates tell what every one of ten thousand would take."""
+    shape = {"frame_stack": 1, "freeze_convolutions": True, "target_update_period": 7}
+    parameters = Parameters(experiment="any", **shape)
     learner = NativeLearner(AGENTS["dqn"], 2, parameters, 1)
     batch, grown = batch_of(np.random.default_rng(0), 1, 1, 2), []
     for updates in (20, 50, 250):  # the first ones are from empty
