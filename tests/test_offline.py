@@ -11,7 +11,7 @@ from synthetic import AGENTS, FRAMES, check, lines_of, numbers, store, study
 
 from atari_dqn.analysis.study import Section
 from atari_dqn.report import offline
-from atari_dqn.runs import frames
+from atari_dqn.runs import compression
 
 DQN, DOUBLE, DUELING = AGENTS
 ROOT = Path(__file__).parents[1]
@@ -23,7 +23,7 @@ def test_the_size_is_that_of_all_runs_records_and_games(tmp_path, shown):
     rng = np.random.default_rng(0)
     for agent, games, size in ((DQN, 3000, 1_000_000), (DOUBLE, 500, 500_000)):
         run = store(tmp_path, "boxing_final", agent, np.zeros(games))
-        (run.folder / frames.FILE).write_bytes(frames.encode(rng.bytes(size)))
+        (run.folder / compression.FILE).write_bytes(compression.encode(rng.bytes(size)))
     offline.show_size(study(tmp_path))
     played = 3500 * FRAMES
     hours = round(played / 60 / 3600)

@@ -16,7 +16,7 @@ from atari_dqn import evaluation, params
 from atari_dqn.params import Parameters
 from atari_dqn.report import build, catalogue, cost, notebook
 from atari_dqn.report.explorer import StoredAgents
-from atari_dqn.runs import evaluations, frames, plan, recorder, tables
+from atari_dqn.runs import compression, evaluations, plan, recorder, tables
 from atari_dqn.runs.files import RunError
 from atari_dqn.runs.robustness import Trial
 from atari_dqn.runs.run import Run
@@ -415,8 +415,8 @@ def test_a_model_that_is_damaged_after_it_was_checked_is_found(run):
 
 
 def test_half_a_game_at_the_end_of_the_records_is_damage_in_a_complete_run_only(run):
-    path = run.folder / frames.FILE
-    frame = frames.encode(bytes(range(200)))
+    path = run.folder / compression.FILE
+    frame = compression.encode(bytes(range(200)))
     path.write_bytes(path.read_bytes() + frame[: len(frame) // 2])
     fault = f"{path} is damaged: the last game is cut short" if run.state() == "complete" else ""
     assert tables.damage(run) == fault

@@ -25,10 +25,10 @@ import numpy as np
 
 from atari_dqn.envs import AtariEnv, EpisodeRecord, make_env
 from atari_dqn.params import Parameters
-from atari_dqn.runs import frames
+from atari_dqn.runs import compression
 from atari_dqn.runs.files import RunError
 
-FILE = frames.FILE
+FILE = compression.FILE
 TRAINING, VALUES, EVALUATION = "training", "values", "evaluation"
 FRAME = 100  # games, once a run is complete
 
@@ -43,7 +43,7 @@ class RecordError(RunError):
 
 def encode(games: list[Game]) -> bytes:
     """Games as they stand in the file, in one frame."""
-    return frames.encode(b"".join(_line(*game) for game in games))
+    return compression.encode(b"".join(_line(*game) for game in games))
 
 
 def _line(heading: Heading, record: EpisodeRecord) -> bytes:
@@ -88,7 +88,7 @@ def read(data: bytes, source: Path) -> Iterator[Game]:
     """
     games = 0
     try:
-        for frame in frames.decode(data):
+        for frame in compression.decode(data):
             for line in frame.splitlines():
                 heading = json.loads(line)
                 record = _game_record(heading)
@@ -98,7 +98,7 @@ def read(data: bytes, source: Path) -> Iterator[Game]:
                     raise ValueError(f"no kind of game has the keys {', '.join(heading)}")
                 yield heading, record
                 games += 1
-    except (frames.ZstdError, ValueError, KeyError, TypeError, AttributeError) as error:
+    except (compression.ZstdError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise RecordError(f"{source} is damaged after {games} games: {error}") from None
 
 

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 
 from atari_dqn import params
 from atari_dqn.params import ParameterError, shown
-from atari_dqn.runs import frames, weights
+from atari_dqn.runs import compression, weights
 from atari_dqn.runs.files import RunError
 from atari_dqn.runs.run import COMPLETE, MISSING, Run, stored_json
 
@@ -230,7 +230,7 @@ def damage(run: Run) -> str:
     try:
         if run.state() != MISSING and (run.folder / "status.json").exists():  # or it just begins
             check(run.folder)
-            frames.check(run.folder, torn=not _complete(run.folder))
+            compression.check(run.folder, torn=not _complete(run.folder))
             for path in weights.files(run.folder):
                 _check_weights(path, path.stat().st_mtime_ns)
             _check_beside(run.robustness, ROBUSTNESS)
