@@ -70,8 +70,8 @@ def observations(*brightness):
 def test_values_and_advantages_light_their_own_places_each_in_its_colour(monkeypatch):
     monkeypatch.setattr(heat, "FULL", 1)
     (light,) = heat.light(Known(), observations(50))
-    assert light[Known.VALUE] == pytest.approx(heat.COLOURS["value"], abs=1)
-    assert light[Known.ADVANTAGE] == pytest.approx(heat.COLOURS["advantage"], abs=1)
+    assert light[Known.VALUE] == pytest.approx((255, 140, 0), abs=1), "orange, as captions say"
+    assert light[Known.ADVANTAGE] == pytest.approx((0, 150, 255), abs=1), "blue"
     assert not light[Known.OLDEST].any(), "older images are not in the picture"
     assert (light.max(axis=2) > 0).mean() < 0.1
 

@@ -2,6 +2,7 @@
 (Greydanus et al., 2018), and the patterns that its first layer looks for."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -184,14 +185,17 @@ def shares(maps: list[np.ndarray]) -> dict[str, float]:
     return parts | {"elsewhere": 100 - sum(parts.values())}
 
 
-def show_saliency(section: Section) -> None:
-    """What the network of each evaluated agent looks at in one game, and their first layers."""
+def show_saliency(section: Section) -> pd.DataFrame:
+    """What the network of each evaluated agent looks at in one game, and their first layers.
+    Returns where the changes come from in Boxing: `shares` by agent and what changes, the last row
+    as if all places counted alike; no rows where none are shown."""
+    rows: list[dict[str, Any]] = []
     label, kernels = f"fig-{section.slug}-saliency", f"fig-{section.slug}-filters"
     table = f"tbl-{section.slug}-saliency"
     found = [(run, record) for run in section.usable if (record := first_evaluated(run))]
     if not found:
         show_placeholders(label, kernels, table)
-        return
+        return pd.DataFrame(rows)
     player, record = found[0]
     game, stack = trajectory(player.params, record), player.params.frame_stack
     last = len(game.actions) - 1
@@ -213,7 +217,6 @@ def show_saliency(section: Section) -> None:
     )
     if section.facts.boxers is not None:
         sampled = [observation_at(game, step, stack) for step in range(0, last, SAMPLED)]
-        rows = []
         for name, network in networks.items():
             seen = [saliency(network, each) for each in sampled]
             for kind in ("value", "advantages"):
@@ -237,6 +240,7 @@ def show_saliency(section: Section) -> None:
         alt="Small patterns of red and blue for each network's first layer.",
         data=section.origin,
     )
+    return pd.DataFrame(rows)
 
 
 def first_evaluated(run: Run) -> EpisodeRecord | None:

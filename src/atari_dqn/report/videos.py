@@ -11,7 +11,7 @@ from atari_dqn import params
 from atari_dqn.agents import AGENTS
 from atari_dqn.analysis.study import Section
 from atari_dqn.games import KNOCK_OUT
-from atari_dqn.report import heat, saliency
+from atari_dqn.report import heat
 from atari_dqn.report.outputs import show_absent, show_placeholders, show_video
 from atari_dqn.report.video import Video, play_with_instruments, side_by_side
 from atari_dqn.runs import models
@@ -162,12 +162,13 @@ def show_knockout(section: Section, label: str) -> None:
 def show_heat(section: Section, label: str, seconds: int) -> None:
     """The first seconds of the first evaluation game of the agent that evaluates best, with a
     layer of what its values depend on."""
-    evaluated = [(run, games) for run, games in _newest(section) if saliency.first_evaluated(run)]
+    scores = section.evaluations
+    means = {} if scores.empty else scores.groupby(["agent", "seed"]).score.mean().to_dict()
+    evaluated = [one for one in _newest(section) if (one[0].agent, one[0].seed) in means]
     if not evaluated:
         show_placeholders(label)
         return
-    means = section.evaluations.groupby(["agent", "seed"]).score.mean()
-    run, games = max(evaluated, key=lambda item: means[item[0].agent, item[0].seed])
+    run, games = max(evaluated, key=lambda one: means[one[0].agent, one[0].seed])
     network = _network(run, games)
     title = f"{params.title(run.agent)}, {games:,} games"
     layer = partial(heat.light, network)
