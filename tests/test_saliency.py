@@ -190,8 +190,8 @@ def test_the_parts_of_the_picture_have_the_shares_of_each_agents_two_maps(
         kinds, ("score and clock", "ring", "ring", "score and clock"), strict=True
     ):
         assert float(found[kind][part]) > 90, kind
-    even = found["if all places", "counted alike"]  # of 21 by 21: 4 rows, and 15 rows by 14
-    assert (even["score and clock"], even["ring"], even["elsewhere"]) == ("19", "48", "33")
+    even = found["if all places", "counted alike"]  # of 21 by 21: 3 rows, and 16 rows by 14
+    assert (even["score and clock"], even["ring"], even["elsewhere"]) == ("14", "51", "35")
     assert numbers(shown.captions["tbl-boxing-final-saliency"]) == [2, 50], "steps 0 and 50"
     assert {name: drawn[name] for name in ("DQN", "Double DQN")} == {
         **{"DQN": networks["dqn"], "Double DQN": networks["double_dqn"]}

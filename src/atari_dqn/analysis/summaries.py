@@ -187,14 +187,15 @@ def _others(section: Section, found: Standings) -> str:
             said.append(f"{name} has played only {played[agent]:,} games.")
         else:
             first, last = own.episodes - own.window + 1, own.episodes
+            mean = section.scores(agent, first, last).mean()
             others = [
                 f"{params.title(other)} {section.scores(other, first, last).mean():.1f}"
                 for other in section.params.agents
                 if params.title(other) in found.means
             ]
             said.append(
-                f"{name} is unfinished: over games {first:,} to {last:,} it scored "
-                f"{float(own):.1f}, and over the same games {_in_a_row(others)}."
+                f"{name} is unfinished: over games {first:,} to {last:,} it scored {mean:.1f}, and "
+                f"over the same games {_in_a_row(others)}."
             )
     return " ".join(said)
 

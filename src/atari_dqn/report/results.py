@@ -314,10 +314,12 @@ def _interval(games: pd.DataFrame) -> str:
 def _about_intervals(section: Section) -> str:
     """What `_interval` gives, as captions tell it."""
     if section.facts.idle_cycle is None:
-        return "Intervals are over openings (Student's t), not over seeds."
+        openings = "Intervals are over openings"
+    else:
+        openings = "A range is that of the openings' means"
     return (
-        "A range is that of the openings' means; the intervals with sticky actions are over games "
-        "(Student's t), not over seeds."
+        f"{openings}; with sticky actions and of random play, an interval is over games (Student's "
+        "t). None is over seeds."
     )
 
 

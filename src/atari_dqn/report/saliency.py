@@ -172,8 +172,8 @@ def filters_figure(networks: dict[str, nn.Module]) -> Figure:
 
 # Parts of a picture of Boxing, in places: the score and the clock, and the ring within its ropes
 PARTS = {
-    "score and clock": (slice(0, 4), slice(None)),
-    "ring": (slice(4, 19), slice(4, 18)),
+    "score and clock": (slice(0, 3), slice(None)),
+    "ring": (slice(3, 19), slice(4, 18)),
 }
 SAMPLED = 50  # agent steps between the states that the shares are means over
 
