@@ -57,7 +57,7 @@ def store(results, experiment, agent, scores, seed=1, variation="", epsilon=0.22
     timing = {"episode": games, "seconds": games * SECONDS, "cpu_seconds": games * SECONDS / 9}
     pd.DataFrame(timing).to_csv(run.folder / "timing.csv", index=False)
     few = {"evaluation_games": 1, "evaluation_difficulties": [], "evaluation_stickiness": []}
-    params.dump(run.params.model_copy(update=few), run.folder / "params.yaml")
+    (run.folder / "params.yaml").write_text(params.text(run.params.model_copy(update=few)))
     state = "complete" if len(scores) >= run.params.episodes else "interrupted"
     status = {"state": state, "episodes_done": len(scores), "episodes": run.params.episodes}
     (run.folder / "status.json").write_text(json.dumps(status))

@@ -91,14 +91,6 @@ def test_a_full_game_of_boxing_has_as_many_frames_as_is_said():
     assert game.frames == GAMES["boxing"].full_frames
 
 
-def test_the_source_reports_scores_stand_beside_its_games_agents_and_marks():
-    table = design.source_scores().set_index(["game", "agent"])
-    assert table.loc[("Boxing", "Double DQN"), "500"] == 28.99
-    assert table.loc[("Boxing", "DQN"), "3000"] == 85.61
-    assert table.loc[("Breakout", "Dueling Double DQN"), "2000"] == 19.65
-    assert len(table) == 6
-
-
 def test_a_million_images_are_a_thousandth_of_a_gigabyte_for_every_byte_of_one(
     monkeypatch, tmp_path
 ):

@@ -241,7 +241,7 @@ def on_a_disk(tmp_path_factory):
     tried = subprocess.run([*own, mount, "sh", "true"], cwd=folder, capture_output=True, text=True)
     if tried.returncode:
         pytest.skip(f"no file system of one's own can be mounted here: {tried.stderr.strip()}")
-    params.dump(Parameters(**SMALL), folder / "small.yaml")
+    (folder / "small.yaml").write_text(params.text(Parameters(**SMALL)))
     (folder / "quick.cpp").write_text('extern "C" void nothing() {}')  # compiles at once
     command = [*own, mount, "sh", sys.executable, "-c", ON_A_DISK]
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True)

@@ -398,6 +398,12 @@ def test_half_a_game_at_the_end_is_allowed_while_a_run_goes_on(run):
     status = (run / "status.json").read_text()
     (run / "status.json").write_text(status.replace("complete", "running"))
     assert len(list(verify(run, 1))) == 1
+    path = run / records.FILE
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 1
+    path.write_bytes(data)
+    with pytest.raises(RunError, match=f"{path} is damaged"):
+        list(verify(run, 1))
 
 
 def test_a_run_that_comes_back_from_its_checkpoint_verifies(tmp_path, small):

@@ -194,7 +194,7 @@ def test_any_game_of_the_emulator_goes_from_its_file_to_a_curve(tmp_path, monkey
     (tmp_path / "pyproject.toml").touch()
     (tmp_path / "params").mkdir()
     pong = small(experiment="pong", profile="full", game="pong", agents=["dqn"])
-    params.dump(pong, tmp_path / "params" / "pong.yaml")
+    (tmp_path / "params" / "pong.yaml").write_text(params.text(pong))
     shutil.copytree(project_root() / "notebooks" / "data", tmp_path / "notebooks" / "data")
     monkeypatch.chdir(tmp_path)
     (run,), _ = plan.planned("full", ["pong"], None)

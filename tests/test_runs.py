@@ -18,7 +18,7 @@ from safetensors.torch import load_file
 
 from atari_dqn import evaluation, params
 from atari_dqn.runs import checkpoints, evaluations, recorder
-from atari_dqn.runs.files import RunError
+from atari_dqn.runs.files import RunError, write_atomically
 from atari_dqn.runs.models import load_model
 from atari_dqn.runs.run import Run
 from atari_dqn.training import Episode, Trainer
@@ -49,7 +49,7 @@ def command(*arguments, **options):
 
 def write(folder, parameters):
     path = folder / f"{parameters.experiment}.yaml"
-    params.dump(parameters, path)
+    path.write_text(params.text(parameters))
     return path
 
 
@@ -564,3 +564,31 @@ def test_make_begins_runs_again_only_when_told_to(arguments):
 
 def test_jupyterlab_starts_as_root_where_one_is_root():
     assert ("--allow-root" in made("lab")) == (os.getuid() == 0)
+
+
+def test_a_write_that_is_interrupted_leaves_the_old_file_and_nothing_beside(tmp_path):
+    path = tmp_path / "table.csv"
+    path.write_bytes(b"old")
+
+    def interrupted(file):
+        file.write(b"half")
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write_atomically(path, interrupted)
+    assert [(each.name, each.read_bytes()) for each in tmp_path.iterdir()] == [
+        ("table.csv", b"old")
+    ]
+
+
+def test_what_a_killed_writer_leaves_is_not_committed_with_the_results():
+    run = "results/runs/boxing_final/dqn"
+    left = [f"{run}/seed-1/.model.safetensors.99", f"{run}/seed-1.aside-1/episodes.csv"]
+    stored = [f"{run}/seed-1/{name}" for name in ("model.safetensors", "episodes.csv")]
+    asked = subprocess.run(
+        ["git", "check-ignore", "--no-index", *left, *stored],
+        cwd=Path(__file__).parents[1],
+        capture_output=True,
+        text=True,
+    )
+    assert asked.stdout.splitlines() == left

@@ -77,7 +77,7 @@ def test_status_tells_why_a_run_does_not_go_on(tmp_path, small, monkeypatch):
 def test_variations_are_runs_of_their_own_with_their_labels(tmp_path, small):
     varied = small(variations={"short sight": {"gamma": 0.5}, "big": {"batch_size": 8}})
     path = tmp_path / "small.yaml"
-    params.dump(varied, path)
+    path.write_text(params.text(varied))
     wanted = runs_of(params.load(path), tmp_path)
     assert [run.variation for run in wanted] == ["short sight", "big"]
     assert [(run.params.gamma, run.params.batch_size) for run in wanted] == [(0.5, 4), (0.99, 8)]
@@ -154,7 +154,7 @@ def test_what_a_user_can_mend_is_one_line_and_the_rest_names_its_kind(tmp_path, 
 def test_an_unknown_experiment_to_start_from_is_refused_before_anything_is_trained(
     tmp_path, monkeypatch, transfer
 ):
-    params.dump(transfer, tmp_path / "transfer.yaml")
+    (tmp_path / "transfer.yaml").write_text(params.text(transfer))
     monkeypatch.setattr(plan, "files", lambda profile: [tmp_path / "transfer.yaml"])
     with pytest.raises(ParameterError, match=r"transfer.yaml: initial_weights: 'small' is not"):
         plan.planned("smoke", ["transfer"], tmp_path)
@@ -191,7 +191,7 @@ def project(tmp_path, small):
 
 
 def ask_for(project, parameters):
-    params.dump(parameters, project / "params" / "small.yaml")
+    (project / "params" / "small.yaml").write_text(params.text(parameters))
 
 
 def runner(project, *options):

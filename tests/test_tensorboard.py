@@ -182,7 +182,7 @@ def test_without_the_package_nothing_begins_and_one_line_says_what_to_install(
     tmp_path, small, monkeypatch
 ):
     monkeypatch.setitem(sys.modules, "tensorboard", None)
-    params.dump(small(), tmp_path / "small.yaml")
+    (tmp_path / "small.yaml").write_text(params.text(small()))
     with pytest.raises(params.ParameterError, match=r"^--tensorboard: .*pip install .*$"):
         __main__.train(tmp_path / "small.yaml", results=tmp_path / "results", tensorboard=True)
     assert not (tmp_path / "results").exists()

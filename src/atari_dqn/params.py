@@ -615,10 +615,3 @@ def text(params: Parameters) -> str:
         f"{key}: {json.dumps(getattr(params, key))}  # {field.description}\n"
         for key, field in Parameters.model_fields.items()
     )
-
-
-def dump(params: Parameters, path: Path) -> None:
-    """Writes the `text` of parameters."""
-    temporary = path.with_name(f".{path.name}")
-    temporary.write_text(text(params), encoding="utf-8")
-    temporary.replace(path)  # readers see a whole file

@@ -58,6 +58,7 @@ def spelled(variation: str) -> str:
     return variation
 
 
+SNAPSHOT = "notebooks/snapshot"  # of the results, within their folder, that a report is made from
 FEW_OPENINGS = 4  # as in Breakout: all of them are played, and no other could be
 
 
@@ -332,6 +333,10 @@ class Study:
         if names is None:
             names = [path.stem for path in plan.files(profile) if path.stem in plan.ORDER]
         self.sections = {name: Section(name, profile, results_dir, agents, seeds) for name in names}
+        own = results_folder("full").resolve()
+        there = results_folder(profile, results_dir).resolve()
+        self._whole = agents is None and seeds is None
+        self._own = profile == "full" and there in (own, own / SNAPSHOT)
 
     def __getitem__(self, experiment: str) -> Section:
         if experiment not in self.sections:
@@ -341,6 +346,12 @@ class Study:
     @property
     def runs(self) -> list[Run]:
         return [run for section in self.sections.values() for run in section.runs]
+
+    @property
+    def held(self) -> bool:
+        """Whether the numbers in the report's hand-written text must be those of these runs: it is
+        about the project's own, at full length, all of them, and none damaged."""
+        return self._own and self._whole and not self.damaged
 
     @property
     def damaged(self) -> dict[str, str]:

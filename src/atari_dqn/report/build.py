@@ -26,6 +26,7 @@ from filelock import FileLock, Timeout
 from nbconvert import MarkdownExporter
 from tqdm import tqdm
 
+from atari_dqn.analysis.study import SNAPSHOT
 from atari_dqn.report import catalogue, crossrefs, fingerprint
 from atari_dqn.report.execution import execute
 from atari_dqn.runs import plan, processes, records, robustness, scheduler, styles, tables
@@ -114,7 +115,7 @@ def _measure(profile: str, folder: Path) -> None:
 def _snapshot(folder: Path) -> Path:
     """A copy of the stored runs, so that all sections speak of the same games though training may
     go on. Returns the folder to give notebooks as that of the results."""
-    snapshot = folder / "notebooks" / "snapshot"
+    snapshot = folder / SNAPSHOT
     shutil.rmtree(snapshot, ignore_errors=True)
 
     def copy(source: str, target: str) -> None:

@@ -217,16 +217,3 @@ def deviations() -> pd.DataFrame:
             for number, entry in enumerate(data("deviations"), start=1)
         ]
     )
-
-
-def source_scores() -> pd.DataFrame:
-    """The source report's mean scores at its milestones, a row per game and agent."""
-    source = data("source_report")
-    return pd.DataFrame(
-        [
-            {"game": GAMES[name.partition("_")[0]].title, "agent": params.title(agent)}
-            | dict(zip(map(str, source["milestones"]), scores, strict=True))
-            for name in ("boxing_final", "breakout_final")
-            for agent, scores in source[name].items()
-        ]
-    )

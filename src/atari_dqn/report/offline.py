@@ -98,7 +98,7 @@ def show_watching(section: Section) -> None:
         "openings. "
         "Dotted: a human tester and random play.",
         alt="The score of an agent that only watches, against its updates.",
-        data="benchmarks/watching.csv",
+        data=f"{FOLDER}/watching.csv",
     )
     last = games["update"].max()
     own, watched = _played(section, measured, last)

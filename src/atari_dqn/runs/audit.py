@@ -12,7 +12,7 @@ import numpy as np
 from atari_dqn import params
 from atari_dqn.envs import EpisodeRecord, learned_reward
 from atari_dqn.params import Parameters, stored_parameters
-from atari_dqn.runs import records, tables
+from atari_dqn.runs import compression, records, tables
 from atari_dqn.runs.files import RunError, evaluations_lock
 from atari_dqn.runs.records import EVALUATION, KEYS, TRAINING, VALUES, Game, Heading, RecordError
 from atari_dqn.runs.run import COMPLETE, stored_json
@@ -136,6 +136,8 @@ def _stored(folder: Path) -> Stored:
         provenance = stored_json(folder, "provenance.json")
         complete = stored_json(folder, "status.json")["state"] == COMPLETE
         tables.check(folder)
+        if not complete:  # else `read_file` says so
+            compression.check(folder, torn=True)
         found = {kind: _table(folder, kind) for kind in TABLES}
         games = records.read_file(folder, torn=not complete)
     if provenance["identity"] != parameters.identity():
