@@ -4,7 +4,7 @@ import pytest
 from scipy import stats
 
 from atari_dqn.analysis import statistics
-from atari_dqn.analysis.statistics import interval, scores_at_milestones, trailing_mean
+from atari_dqn.analysis.statistics import scores_at_milestones, trailing_mean
 
 
 def test_a_trailing_mean_is_of_the_last_games_and_waits_for_enough():
@@ -18,27 +18,6 @@ def test_scores_at_marks_are_means_of_the_games_before_and_missing_where_not_rea
     table = scores_at_milestones(episodes, (2, 3, 4), window=2)
     assert table.loc[("dqn", 1)].tolist()[:2] == [1.5, 4.0]
     assert np.isnan(table.loc[("dqn", 1), 4])
-
-
-def test_the_interval_covers_the_true_mean_about_as_often_as_it_says():
-    rng = np.random.default_rng(0)
-    hits = 0
-    for _ in range(200):
-        low, high = interval(rng.normal(3, 2, size=60))
-        hits += low < 3 < high
-    assert 180 <= hits <= 200
-
-
-def test_the_interval_of_many_values_is_two_standard_errors_each_way():
-    values = np.random.default_rng(0).normal(3, 2, size=400)
-    half = 1.96 * values.std() / 20
-    low, high = interval(values)
-    assert (low, high) == pytest.approx((values.mean() - half, values.mean() + half), abs=half / 20)
-
-
-def test_one_value_has_no_interval():
-    with pytest.raises(ValueError, match="at least two"):
-        interval(np.array([1.0]))
 
 
 def test_welchs_interval_is_antisymmetric_and_a_point_for_constants():

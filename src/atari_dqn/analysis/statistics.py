@@ -15,18 +15,6 @@ def trailing_mean(scores: pd.Series, window: int) -> pd.Series:
     return scores.rolling(window).mean()
 
 
-def interval(values: np.ndarray) -> tuple[float, float]:
-    """95% bootstrap interval of the mean (percentile method, 9,999 resamples).
-
-    An interval made in this way holds the mean of endlessly many such values in about 95 of 100
-    cases. It does not say where the next value lies. Raises ValueError for fewer than two values,
-    from which nothing can be resampled.
-    """
-    if len(values) < 2:
-        raise ValueError("an interval needs at least two values")
-    return stratified_interval(np.mean, np.asarray(values, float))
-
-
 def stratified_interval(
     statistic: Callable[..., np.ndarray], *groups: np.ndarray
 ) -> tuple[float, float]:

@@ -11,7 +11,6 @@ from atari_dqn.analysis import summaries
 from atari_dqn.analysis.statistics import (
     MILESTONES,
     cluster_interval,
-    interval,
     scores_at_milestones,
 )
 from atari_dqn.analysis.study import (
@@ -399,7 +398,6 @@ def show_variations(section: Section, reference: Section, agent: str) -> None:
             "games": int(found.episode.max()),
             "hours": found.seconds.max() / 3600,
             f"mean of the last {window} games": found.score.mean(),
-            "95% interval": "{:.1f} to {:.1f}".format(*interval(found.score.to_numpy())),
             "evaluation": greedy.get(name, np.nan),
         }
         for name, found in last.groupby("variation", sort=False)
@@ -413,7 +411,7 @@ def show_variations(section: Section, reference: Section, agent: str) -> None:
         label=table,
         caption=f"{section.title}: wall-clock hours on "
         "one core, training scores with exploration, and the mean of the greedy games of a "
-        "finished run. Intervals are over games of one run (bootstrap), not over seeds.",
+        "finished run.",
         decimals=1,
     )
 
