@@ -437,7 +437,8 @@ def places(stays: Mapping[str, Mapping[int, np.ndarray]]) -> Figure:
             for who, part in zip(("agent", "rival"), both, strict=True)
         ]
         for axes, (title, part) in zip(row, maps, strict=True):
-            axes.pcolormesh(part.T, cmap=shade, norm=PowerNorm(0.4, vmin=0, vmax=most))
+            how = {"edgecolors": "face", "linewidth": 0.1}  # else thin lines show between cells
+            axes.pcolormesh(part.T, cmap=shade, norm=PowerNorm(0.4, vmin=0, vmax=most), **how)
             axes.set(xticks=[], yticks=[], aspect=4 / 7)
             axes.invert_yaxis()  # as on the television
             axes.set_title(title, fontsize="small")
