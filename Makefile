@@ -17,7 +17,7 @@ RESTART_OPTION := $(if $(RESTART),--restart)
 PARAMS_FILE = params/$(if $(filter-out full,$(PROFILE)),$(PROFILE)/)$(EXPERIMENT).yaml
 
 .DEFAULT_GOAL := help
-.PHONY: help report numbers lab test check format train experiments status verify bench lock clean
+.PHONY: help report numbers lab test check mutants format train experiments status verify bench lock clean
 
 help: ## list what can be made
 	@sed -n 's/^\([a-z]*\):[^#]*## \(.*\)/  make \1|\2/p' $(MAKEFILE_LIST) | awk -F'|' '{printf "%-19s %s\n", $$1, $$2}'
@@ -70,6 +70,9 @@ verify: $(READY) ## play games of every stored run again and compare them with i
 # loadfile: what the tests of a file share is made once
 test: $(READY) ## run the tests
 	$(RUN) pytest -n 2 --dist loadfile --no-loadscope-reorder
+
+mutants: $(READY) ## put faults into the code and see tests fail (minutes)
+	$(VENV)/bin/python tests/mutants.py
 
 check: $(READY) ## run the linter, the formatter's check, the order of the floors, the types
 	$(RUN) ruff check .

@@ -1,3 +1,7 @@
+import os
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 import torch
@@ -278,3 +282,18 @@ def test_a_fourth_agent_is_a_name_an_entry_and_a_function(tmp_path, small, monke
     assert run.state() == "complete"
     assert len(tables.of_runs([run], "evaluations.csv")) == 2
     assert title("mean_dqn") == "Mean DQN"
+    draw = """
+import pandas as pd
+from atari_dqn import params
+params.AGENT_NAMES = (*params.AGENT_NAMES, "mean_dqn")
+from atari_dqn.report import plots
+episodes = pd.DataFrame({"episode": [1, 2], "score": [3, 4], "agent": "mean_dqn", "seed": 1})
+episodes["frames"] = 4 * episodes.episode
+from atari_dqn.games import GAMES
+none = pd.DataFrame({"agent": [], "episode": [], "score": [], "window": []})
+plots.learning_curves(episodes, GAMES["boxing"], 1, None, none)
+assert len({look.colour for look in plots.STYLES.values()}) == 4
+"""
+    subprocess.run(
+        [sys.executable, "-c", draw], check=True, env={**os.environ, "MPLBACKEND": "agg"}
+    )

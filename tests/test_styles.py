@@ -307,7 +307,6 @@ def test_a_ball_is_lost_in_the_third_of_the_court_where_it_was_before(monkeypatc
 def test_no_punch_that_was_measured_lands_from_beyond_reach():
     punches = ram.stored_punches()
     assert max(punches.dx.max(), punches.dy.max()) == styles.REACH
-    assert ram.BOXERS["agent"].arms == styles.ARMS
 
 
 def test_every_experiment_whose_styles_are_measured_trains_the_agent():

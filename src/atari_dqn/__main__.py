@@ -164,7 +164,7 @@ def evaluate(
     facts = GAMES[params.stored_parameters(run_dir).game]
     if isfinite(facts.wins_at):
         said.append(f"{played.won.sum()} won")
-    if facts.knockout_cells is not None:
+    if facts.score_cells is not None:
         said.append(f"{(played.knockout == 1).sum()} by knock-out")
     print(", ".join(said))
 

@@ -188,16 +188,16 @@ class AtariEnv(gymnasium.Env):
 
     def knockout(self) -> int:
         """1 if the agent has knocked its rival out, -1 if it was knocked out itself, else 0."""
-        if self.facts.knockout_cells is None:
+        if self.facts.score_cells is None:
             return 0
-        agent, rival = (self.ram()[cell] == 0xC0 for cell in self.facts.knockout_cells)
+        agent, rival = (self.ram()[cell] == 0xC0 for cell in self.facts.score_cells)
         return int(agent) - int(rival)
 
     def points(self) -> tuple[float, float]:
         """What the agent and its rival have scored so far; without a rival, the score and 0."""
-        if self.facts.knockout_cells is None:
+        if self.facts.score_cells is None:
             return self.score, 0.0
-        agent, rival = (boxing_points(int(self.ram()[cell])) for cell in self.facts.knockout_cells)
+        agent, rival = (boxing_points(int(self.ram()[cell])) for cell in self.facts.score_cells)
         return float(agent), float(rival)
 
     def places(self) -> tuple[tuple[int, int], ...]:

@@ -21,8 +21,10 @@ class GameFacts:
     # lost life
     idle_cycle: int | None = None  # idle frames after which a game begins as if there had been
     # none, where nothing moves before the first action
-    knockout_cells: tuple[int, int] | None = None  # RAM cells that read 0xC0 when the agent, or its
-    # rival, has knocked the other out
+    score_cells: tuple[int, int] | None = None  # RAM cells of the points of the agent and of its
+    # rival (`boxing_points`); 0xC0 once one has knocked the other out
+    arm_cells: tuple[tuple[int, int], tuple[int, int]] | None = None  # RAM cells of how far each
+    # arm of the agent, and of its rival, is out, 0 to 72 (measured, tests/test_ram.py)
     boxers: tuple[tuple[int, int], tuple[int, int]] | None = None  # RAM cells of x and y, in
     # pixels, of the agent and of its rival (Anand et al., 2019)
     full_frames: int | None = None  # of a game that only its clock ends, where there is one
@@ -59,7 +61,8 @@ GAMES = {
             12.1,
             (0, 1, 2, 3),
             1,
-            knockout_cells=(18, 19),
+            score_cells=(18, 19),
+            arm_cells=((55, 57), (59, 61)),
             boxers=((32, 34), (33, 35)),
             full_frames=7141,
             scoreboard=10,

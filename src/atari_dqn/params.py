@@ -130,7 +130,9 @@ class Parameters(BaseModel):
 
     experiment: ExperimentName = Field(description="name")
     profile: Profile = Field("full", description="name; quick and smoke runs are no evidence")
-    agents: list[AgentName] = Field(list(AGENT_NAMES), min_length=1, description="names")
+    agents: list[AgentName] = Field(
+        ["dqn", "double_dqn", "dueling_double_dqn"], min_length=1, description="names"
+    )
     seeds: list[Annotated[Count, Field(ge=0)]] = Field([1], min_length=1, description="integers")
     episodes: Count = Field(3000, ge=1, description="games to train for")
 

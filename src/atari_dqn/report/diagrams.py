@@ -75,7 +75,7 @@ class Sheet:
         self.axes.axis("off")
 
     def text(self, x: float, y: float, text: str, **how) -> None:
-        style = {"size": TEXT, "color": INK, "ha": "center", "va": "center"}
+        style: dict[str, Any] = {"size": TEXT, "color": INK, "ha": "center", "va": "center"}
         self.axes.text(x, y, text, **style | how)
 
     def title(self, x: float, y: float, text: str, **how) -> None:
@@ -83,7 +83,10 @@ class Sheet:
 
     def frame(self, box: Box, role: str, rounding: float = 0.08) -> Box:
         """Draws a box's tint and outline."""
-        style = {"facecolor": _shade(role, white=0.75), "edgecolor": _shade(role, black=0.4)}
+        style: dict[str, Any] = {
+            "facecolor": _shade(role, white=0.75),
+            "edgecolor": _shade(role, black=0.4),
+        }
         style["boxstyle"] = f"round,pad=0,rounding_size={rounding}"
         corner = (box.left()[0], box.bottom()[1])
         self.axes.add_patch(FancyBboxPatch(corner, box.width, box.height, linewidth=1, **style))
@@ -97,7 +100,7 @@ class Sheet:
         return self.frame(box, role)
 
     def line(self, path: Path, role: str = "", dashed: bool = False, head: bool = True) -> None:
-        style = {"linewidth": 1.1, "linestyle": (0, (3, 2)) if dashed else "-"}
+        style: dict[str, Any] = {"linewidth": 1.1, "linestyle": (0, (3, 2)) if dashed else "-"}
         style |= {"arrowstyle": "-|>" if head else "-", "mutation_scale": 9}
         self.axes.add_patch(FancyArrowPatch(path=path, color=_shade(role, black=0.3), **style))
 
@@ -255,7 +258,8 @@ def whole_agent() -> Figure:
         )
     )
     step: dict[str, Any] = {}
-    learn, copy = {"role": "learning"}, {"dashed": True}
+    learn: dict[str, Any] = {"role": "learning"}
+    copy: dict[str, Any] = {"dashed": True}
     sheet.arrow(game.bottom(), images.top(), label="frames, points", **step)
     sheet.arrow(images.right(0.17), online.left(0.17), label="state $s_t$", **step)
     sheet.arrow(online.top(), policy.bottom(), label="$Q(s_t, a)$ of every action $a$", **step)

@@ -182,7 +182,7 @@ def _curves_of(axes: Axes, curves: pd.DataFrame, agent: str, x: str, main: bool)
         named(line, title, value=title)
         if scores.shape[1] >= SEEDS_OF_A_BAND:
             half = stats.t.ppf(0.975, scores.shape[1] - 1) * scores.sem(axis=1)
-            band = {"color": look.colour, "alpha": 0.15, "lw": 0}
+            band: dict[str, Any] = {"color": look.colour, "alpha": 0.15, "lw": 0}
             named(axes.fill_between(mean.index, mean - half, mean + half, **band), title)
 
 
@@ -203,7 +203,7 @@ def _source_points(axes: Axes, source: pd.DataFrame, episodes: pd.DataFrame) -> 
             if last in scores.index
         }
         title, colour = params.title(str(agent)), STYLES[str(agent)].colour
-        how = {"zorder": 4, "clip_on": False, "color": colour, "mew": 1.4, "ms": 6}
+        how: dict[str, Any] = {"zorder": 4, "clip_on": False, "color": colour, "mew": 1.4, "ms": 6}
         (points,) = axes.plot(theirs.episode, theirs.score, "o", mfc="white", **how)
         named(points, title, SOURCE, value=f"{title}, {SOURCE}")
         kinds[SOURCE] = "white"
@@ -225,7 +225,13 @@ def _published_points(axes: Axes, published: dict[str, Any], reach: float) -> No
             if score is not None and frames <= reach
         ]
         if at:
-            how = {"ls": "none", "marker": marker, "ms": 4, "mfc": "none", "color": SOFT}
+            how: dict[str, Any] = {
+                "ls": "none",
+                "marker": marker,
+                "ms": 4,
+                "mfc": "none",
+                "color": SOFT,
+            }
             handles += axes.plot(*zip(*at, strict=True), **how)
             named(handles[-1], PUBLISHED, value=f"{name}, {PUBLISHED}")
     if handles:
@@ -244,6 +250,7 @@ def references(axes: Axes, facts: GameFacts, labelled: bool, upright: bool = Fal
         draw(score, color=SOFT, lw=1, ls=":", zorder=1)
         if not labelled:
             continue
+        at: tuple[float, float]
         how: dict[str, Any] = {"textcoords": "offset points", "color": INK, "fontsize": "small"}
         text = f"{name} {score:g}"
         if upright:
@@ -278,14 +285,20 @@ def comparison(
         look, title = (STYLES[name], params.title(name)) if by == "agent" else (looks[name], name)
         mean = curves[curves[by] == name].groupby("episode")["mean"].mean()
         if name == main:
-            look = Style(INK, "-")
+            look = Style(mpl.colors.to_rgb(INK), "-")
         width = 2.6 if name == main else 1.8
         handles += axes.plot(mean.index, mean, color=look.colour, ls=look.line, lw=width)
         named(handles[-1], title, value=title)
     if source is not None:
         near = source[source.episode <= 1.3 * episodes.episode.max()].dropna(subset="score")
         if len(near):
-            how = {"mfc": "white", "color": INK, "mew": 1.4, "ms": 6, "clip_on": False}
+            how: dict[str, Any] = {
+                "mfc": "white",
+                "color": INK,
+                "mew": 1.4,
+                "ms": 6,
+                "clip_on": False,
+            }
             handles += axes.plot(near.episode, near.score, "o", **how)
             named(handles[-1], SOURCE, value=SOURCE)
     longest = max((len(str(handle.get_label())) for handle in handles), default=0)
@@ -318,7 +331,7 @@ def small_multiples(
             axes.set_visible(False)
             continue
         if not unchanged.empty:
-            how = {"color": look.colour, "ls": look.line, "lw": 2.2}
+            how: dict[str, Any] = {"color": look.colour, "ls": look.line, "lw": 2.2}
             named(axes.plot(base.index, base, **how)[0], "unchanged", value="unchanged")
         mean = curves[curves.variation == names[place]].groupby("episode")["mean"].mean()
         (line,) = axes.plot(mean.index, mean, color=colour, lw=1.3)
@@ -458,14 +471,24 @@ def score_distributions(evaluations: pd.DataFrame, facts: GameFacts | None) -> F
             y = place + 0.62 * ((row + 0.5) / len(runs) - 0.5)  # a lane per run
             scores, spread = run.score.to_numpy(float), 0.2 / len(runs)
             heights = y + rng.uniform(-spread, spread, len(scores))
-            dots = {"ms": 3.2, "alpha": 0.4, "mew": 0, "color": STYLES[agent].colour}
+            dots: dict[str, Any] = {
+                "ms": 3.2,
+                "alpha": 0.4,
+                "mew": 0,
+                "color": STYLES[agent].colour,
+            }
             axes.plot(scores, heights, "o", **dots)
             mean = scores.mean()
             if run.opening.nunique() > FEW_OPENINGS:
                 spread_of_mean = cluster_interval(scores, run.opening.to_numpy())
                 axes.plot(spread_of_mean, [y, y], color=INK, lw=2.2, solid_capstyle="butt")
             axes.plot(mean, y, "D", ms=6, color=STYLES[agent].colour, mec=INK, mew=1.2, zorder=4)
-            how = {"textcoords": "offset points", "ha": "center", "va": "bottom", "color": INK}
+            how: dict[str, Any] = {
+                "textcoords": "offset points",
+                "ha": "center",
+                "va": "bottom",
+                "color": INK,
+            }
             halo = [withStroke(linewidth=2.5, foreground="white")]
             axes.annotate(f"{mean:.1f}", (mean, y), (0, 6), path_effects=halo, zorder=5, **how)
     if facts:

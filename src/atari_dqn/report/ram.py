@@ -17,7 +17,6 @@ from atari_dqn.envs import AtariEnv
 from atari_dqn.games import GAMES, boxing_points
 from atari_dqn.report.plots import WIDTH, shades
 from atari_dqn.runs.files import project_root
-from atari_dqn.runs.styles import ARMS
 
 HOLD = 4  # frames that a random action is held, as an agent would
 STORED = "results/benchmarks/punches.csv"
@@ -32,11 +31,15 @@ class Cells(NamedTuple):
     arms: tuple[int, int]  # how far each arm is out, 0 to 72
 
 
-assert GAMES["boxing"].boxers
-_AGENT, _COMPUTER = GAMES["boxing"].boxers
+BOXING = GAMES["boxing"]
+assert BOXING.boxers
+assert BOXING.score_cells
+assert BOXING.arm_cells
 BOXERS = {
-    "agent": Cells(*_AGENT, score=18, arms=ARMS),
-    "computer": Cells(*_COMPUTER, score=19, arms=(59, 61)),
+    name: Cells(*place, score, arms)
+    for name, place, score, arms in zip(
+        ("agent", "computer"), BOXING.boxers, BOXING.score_cells, BOXING.arm_cells, strict=True
+    )
 }
 
 

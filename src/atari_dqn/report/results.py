@@ -326,7 +326,7 @@ def _summary(section: Section, games: pd.DataFrame) -> dict:
     """Mean score, interval, and in Boxing the shares of wins and of knock-outs, and how long the
     agent needs for one."""
     row = {"mean score": games.score.mean(), "95% interval": _interval(games)}
-    if section.facts.knockout_cells is not None:
+    if section.facts.score_cells is not None:
         row["won"] = f"{games.won.mean():.0%}"
         knocked_out = games[games.knockout == 1]
         row["by knock-out"] = f"{len(knocked_out) / len(games):.0%}"

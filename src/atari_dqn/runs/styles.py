@@ -22,7 +22,6 @@ from atari_dqn.runs.run import Run
 EXPERIMENTS = ("boxing_low_gamma", "boxing_final", "boxing_high_gamma", "breakout_late")
 AGENT = "dueling_double_dqn"  # that is trained with every discount
 
-ARMS = (55, 57)  # memory cells: how far each of the agent's arms is out, 0 to 72
 OUT = 24  # from where on a punch is counted: an arm is farther out for longer than a step lasts
 STRUCK = 41  # what both arms are set to by a blow that the agent takes
 REACH = 30  # pixels to the side, and up or down, beyond which no punch lands (results/benchmarks/
@@ -112,7 +111,8 @@ def _boxing(
         memories.append(env.ram())
         scored.append(env.points()[0])
     memory = np.array(memories).astype(int)  # [moments, cells]; the first is before any step
-    arms = memory[:, ARMS]
+    own_arms, _ = GAMES["boxing"].arm_cells or ((), ())
+    arms = memory[:, own_arms]
     out = (arms > OUT)[1:] & ~(arms > OUT)[:-1] & (arms != STRUCK).any(axis=1, keepdims=True)[1:]
     agent, rival = places(memory[1:])  # [steps, x and y]
     gaps = np.abs(agent - rival)
