@@ -97,7 +97,7 @@ def mean_distance(games: Sequence[np.ndarray]) -> float:
 
 def _of_other_openings(facts: GameFacts, games: dict[int, EpisodeRecord]) -> list[int]:
     """The numbers of the first game of each opening but that of game 0: greedy games of one opening
-    are all but one and the same."""
+    are much alike."""
     firsts: dict[int, int] = {}
     for number in sorted(games):
         firsts.setdefault(facts.opening(games[number].idle_frames), number)
