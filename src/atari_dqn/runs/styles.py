@@ -19,7 +19,13 @@ from atari_dqn.runs import records, tables
 from atari_dqn.runs.files import write_atomically
 from atari_dqn.runs.run import Run
 
-EXPERIMENTS = ("boxing_low_gamma", "boxing_final", "boxing_high_gamma", "breakout_late")
+EXPERIMENTS = (
+    "boxing_low_gamma",
+    "boxing_final",
+    "boxing_high_gamma",
+    "breakout_late",
+    "breakout_final",
+)
 AGENT = "dueling_double_dqn"  # that is trained with every discount
 
 OUT = 24  # from where on a punch is counted: an arm is farther out for longer than a step lasts
