@@ -295,7 +295,7 @@ def test_the_styles_along_training_have_a_panel_per_measure_and_a_line_per_agent
     assert looks == expected
     assert {axes.get_xlabel() for axes in panels[-2:]} == {"training games"}
     # an episode lasts two minutes
-    factors = (10, 10, 0.5, None, 33.3 / 2, 1, 10, None, 5, 2)
+    factors = (10, 10, 0.5, None, None, 33.3 / 2, 1, 10, None, None, 5, 2)
     for axes, factor in zip(panels, factors, strict=True):
         if factor is None:
             continue
@@ -306,10 +306,12 @@ def test_the_styles_along_training_have_a_panel_per_measure_and_a_line_per_agent
             assert lines[name][:, 0].tolist() == [100, 200, 300]
             assert lines[name][:, 1] == pytest.approx(factor * base * np.array([1.0, 2.0, 3.0]))
     titles = [axes.get_title(loc="left") for axes in panels]
-    words = ("distance", "reach", "punches", "per punch", "scored", "conceded", "two points")
-    words += ("knock-out", "agent at the ropes", "rival at the ropes")
+    words = ("distance", "reach", "thrown", "landed", "per punch", "scored", "conceded")
+    words += ("two points", "won by knock-out", "seconds to a knock-out")
+    words += ("agent at the ropes", "rival at the ropes")
     assert all(word in title for word, title in zip(words, titles, strict=True))
-    per_punch, knock_outs = (panels[place].get_lines()[0].get_ydata() for place in (3, 7))
+    landed, per_punch, knock_outs = (panels[n].get_lines()[0].get_ydata() for n in (3, 4, 8))
+    assert landed == pytest.approx([5] * 3)
     assert per_punch == pytest.approx([33.3] * 3)
     assert knock_outs.tolist() == [0, 100, 100], "66.6 points are none, 133.2 are more than one"
     assert "#tbl-boxing-final-style .absent" in shown.texts[-1], "three checks are too few"
@@ -335,6 +337,24 @@ def test_a_game_of_four_openings_shows_the_range_of_their_means_in_place_of_an_i
     assert low < 20 < high
     caption = shown.captions["tbl-breakout-late-conditions"]
     assert "range is that of the openings" in caption
+
+
+def test_the_time_to_a_knock_out_is_the_mean_of_the_games_that_end_so(tmp_path):
+    run = store(tmp_path, "boxing_final", DQN, np.zeros(1000))
+    style(run, np.zeros(10), greedy=3)
+    table = pd.read_csv(run.styles)
+    late = table.index[-3:]  # the last check: two knock-outs, and a long game without
+    table.loc[late, ["scored", "frames"]] = [[100, 1200], [101, 2400], [99, 7141]]
+    table.loc[late[0] - 3, ["scored", "frames"]] = [100, 3600]  # one in the check before
+    table.to_csv(run.styles, index=False)
+    section = study(tmp_path)["boxing_final"]
+    of_check = section.styles.groupby("episode").to_knock_out.mean()
+    assert of_check.dropna().to_dict() == {900: 60, 1000: 30}
+    (change,) = (
+        summaries.style_changes(section).query("measure == 'to_knock_out'").to_dict("records")
+    )
+    assert np.isnan(change["first"])
+    assert change["last"] == 40, "of three knock-outs, whatever check they are of"
 
 
 def test_the_style_map_goes_from_the_first_checks_to_the_last(tmp_path, shown):

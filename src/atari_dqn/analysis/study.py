@@ -195,13 +195,17 @@ class Section:
     @cached_property
     def styles(self) -> pd.DataFrame:
         """How the agents play in the checks of greedy play along their training, a row per greedy
-        episode: what `runs.styles` finds, agent, seed, and what follows: in Boxing what it counts
-        per minute and per punch, percent of the time within reach and at the ropes, of the blows
-        that score those for two points, and 100 for a game won by knock-out; in Breakout 100 for a
-        game with a tunnel and, of all balls of the check that the game is of, the percent of each
-        speed that were returned, and of the lost ones that were lost at the sides; in columns of
-        the same names and `_of`, how many such balls the game itself has. (A game goes on until
-        balls are lost, so that its own percentages would be too low on average.)"""
+        episode: what `runs.styles` finds, agent, seed, and what follows.
+
+        In Boxing: what it counts per minute and per punch, percent of the time within reach and at
+        the ropes, of the blows that score those for two points, 100 for a game won by knock-out,
+        and the mean of the seconds that such games of the check lasted. In Breakout: 100 for a game
+        with a tunnel and, of all balls of the check that the game is of, the percent of each speed
+        that were returned, and of the lost ones that were lost at the sides. (A game goes on until
+        balls are lost, so that its own percentages would be too low on average.)
+
+        A column of the name of such a mean and `_of` holds how many balls, or knock-outs, the game
+        itself has."""
         if self.params.game not in tables.STYLES:
             return pd.DataFrame()
         table = self._beside("styles", tables.STYLES[self.params.game])
@@ -209,13 +213,17 @@ class Section:
             return table
         if self.params.game == "boxing":
             minutes = table.frames / FRAMES_PER_MINUTE
-            counted = ("scored", "conceded", "punches")
+            counted = ("scored", "conceded", "punches", "blows")
             rates = {f"{name}_per_minute": table[name] / minutes for name in counted}
+            won = table.scored >= KNOCK_OUT
+            check = [table.agent, table.seed, table.episode]
             return table.assign(
                 **rates,
                 points_per_punch=table.scored / _some(table.punches),
                 two_points=100 * table.doubles / _some(table.blows),
-                knock_outs=100.0 * (table.scored >= KNOCK_OUT),
+                knock_outs=100.0 * won,
+                to_knock_out=(60 * minutes).where(won).groupby(check).transform("mean"),
+                to_knock_out_of=won.astype(int),
                 within_reach=100 * table.reach,
                 at_ropes=100 * table.ropes,
                 rival_at_ropes=100 * table.rival_ropes,
