@@ -145,6 +145,7 @@ def section(tmp_path, monkeypatch):
         monkeypatch.setattr(
             saliency.models, "load_model", lambda path, params: networks[params.agents[0]]
         )
+        monkeypatch.setattr(saliency.models, "stored", lambda run: {3000: run.folder})
         return study(tmp_path)["boxing_final"]
 
     return play
@@ -162,11 +163,24 @@ def test_each_agents_spreads_stand_in_its_row(section, shown):
         strict=True,
     ):
         assert row == {
-            **{"agent": agent},
+            **{"agent": agent, "games": "3000"},
             **{name: f"{value:.2f}" for name, value in SPREADS.items()},
             **{"spread between actions": apart, "gap of the best two": gap},
             **{"the state's share, %": f"{share:.2f}"},
         }
+
+
+def test_every_stored_network_of_a_run_has_a_row(section, shown, monkeypatch):
+    made = section(alternating(201), {"dqn": None})
+    networks = {"early": Known(1.0, -1.0), "late": Known(10.0, -10.0)}
+    monkeypatch.setattr(saliency.models, "load_model", lambda path, params: networks[path])
+    monkeypatch.setattr(saliency.models, "stored", lambda run: {100: "early", 3000: "late"})
+    saliency.show_spreads(made)
+    rows = shown.tables["tbl-boxing-final-spreads"]
+    assert [(row["games"], row["gap of the best two"]) for row in rows] == [
+        ("100", "2.00"),
+        ("3000", "20.00"),
+    ]
 
 
 def test_the_parts_of_the_picture_have_the_shares_of_each_agents_two_maps(

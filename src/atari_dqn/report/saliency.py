@@ -83,8 +83,8 @@ def spreads(network: nn.Module, observations: np.ndarray) -> dict[str, float]:
 
 
 def show_spreads(section: Section) -> pd.DataFrame:
-    """How far apart values lie between the states of a game, and between the actions in one;
-    returns the table."""
+    """How far apart values lie between the states of a game, and between the actions in one, to
+    every stored network of a run; returns the table."""
     table, rows = f"tbl-{section.slug}-spreads", []
     for run in section.usable:
         if record := first_evaluated(run):
@@ -92,9 +92,12 @@ def show_spreads(section: Section) -> pd.DataFrame:
             seen = np.stack(
                 [observation_at(game, step, stack) for step in range(len(game.actions))]
             )
-            network = models.load_model(run.folder / "model.safetensors", run.params)
-            seed = {"seed": run.seed} if len(section.params.seeds) > 1 else {}
-            rows.append({"agent": params.title(run.agent), **seed, **spreads(network, seen)})
+            heading = {"agent": params.title(run.agent)}
+            if len(section.params.seeds) > 1:
+                heading["seed"] = run.seed
+            for games, path in models.stored(run).items():
+                network = models.load_model(path, run.params)
+                rows.append(heading | {"games": games} | spreads(network, seen))
     found = pd.DataFrame(rows)
     if found.empty:
         show_placeholders(table)
@@ -102,10 +105,11 @@ def show_spreads(section: Section) -> pd.DataFrame:
     show_table(
         found,
         label=table,
-        caption=f"{section.title}: how much of an agent's values is the state's, in every state of "
-        "its first evaluation game: the mean value of a state, standard deviations of the states' "
-        "values and of the actions' around them, how far the best action is above the second, and "
-        "the part of the values' variance that lies between states.",
+        caption=f"{section.title}: how much of an agent's values is the state's, after so many "
+        "training games, in every state of its first evaluation game: the mean value of a state, "
+        "standard deviations of the states' values and of the actions' around them, how far the "
+        "best action is above the second, and the part of the values' variance that lies between "
+        "states.",
         decimals=2,
     )
     return found
