@@ -14,6 +14,7 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from atari_dqn import __main__
+from atari_dqn.analysis.study import Section
 from atari_dqn.params import ParameterError, Parameters
 from atari_dqn.report import notebook
 from atari_dqn.runs import recorder
@@ -344,9 +345,13 @@ def test_help_is_no_error_and_is_whole(folder):
 
 def run_from_notebook(values):
     """The run that a notebook's parameters name, or the line in which they are refused."""
-    began, said = time.process_time(), "a run"
+    return made_or_refused(lambda: notebook.run_from_notebook(values))
+
+
+def made_or_refused(make):
+    began, said = time.process_time(), "made"
     try:
-        return notebook.run_from_notebook(values)
+        return make()
     except ParameterError as error:
         said = str(error)
         return said
@@ -381,8 +386,8 @@ endless.append(endless)
         ({"seed": 10**5000}, "seed: this int is not allowed"),
         ({"seed": True}, "seed: True is not allowed"),
         ({"agent": ["dqn"]}, "agent: ['dqn'] is not allowed"),
-        ({"results_dir": 3}, "results_dir: 3 is not allowed"),
-        ({"results_dir": "a\0b"}, r"results_dir: 'a\x00b' is not allowed"),
+        ({"results_dir": 3}, "results: 3 is not allowed"),
+        ({"results_dir": "a\0b"}, r"results: 'a\x00b' is not allowed"),
         ({"base": "../../mine.yaml"}, "base: '../../mine.yaml' is not allowed"),
         ({"base": endless}, "base: "),
         ({"gamma\n": 0.5}, r"unknown parameter 'gamma\n'"),
@@ -425,3 +430,20 @@ def test_a_run_that_cannot_begin_here_leaves_no_folder(folder, small, monkeypatc
     with pytest.raises((ParameterError, recorder.RunError), match=said):
         recorder.train(Run(small(**changes), folder / "results"))
     assert contents(folder) == before
+
+
+OF_SECTIONS = st.sampled_from(["profile", "results_dir", "agents", "seeds"])
+
+
+@hostile
+@given(st.dictionaries(OF_SECTIONS, VALUES, max_size=2))
+@example({"profile": 7})
+@example({"profile": ["full"]})
+@example({"results_dir": "a\0b"})
+@example({"results_dir": 3})
+@example({"agents": "dqn"})
+@example({"agents": {"dqn": 1}})
+def test_any_parameters_of_a_section_are_its_runs_or_refused_in_a_line(values):
+    given = {"profile": "smoke", **values}
+    found = made_or_refused(lambda: Section("boxing_expert", **given))
+    assert isinstance(found, Section | str)

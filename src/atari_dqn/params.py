@@ -84,15 +84,15 @@ def _scientific(value: Any) -> Any:
     return value
 
 
-def check_profile(name: str) -> None:
+def check_profile(name: object) -> None:
     """Raises ParameterError on an unknown profile, which would name a folder."""
     if name not in PROFILES:
         raise ParameterError(f"profile: {shown(name)} is not allowed: {hint(name, PROFILES)}")
 
 
-def hint(name: str, known: Collection[str]) -> str:
+def hint(name: object, known: Collection[str]) -> str:
     """What to say of a name that is not among those known."""
-    near = difflib.get_close_matches(name, known, n=1)
+    near = difflib.get_close_matches(name, known, n=1) if isinstance(name, str) else []
     return f"did you mean {near[0]!r}?" if near else f"must be one of {', '.join(known)}"
 
 

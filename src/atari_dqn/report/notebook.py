@@ -40,22 +40,6 @@ def injected() -> dict[str, Any]:
     return {name: shell.user_ns[name] for name in names}
 
 
-def one_line_errors() -> None:
-    """From now on, what a user can mend is an error of one line in this notebook, as it is on the
-    command line."""
-
-    def show(
-        shell: Any, kind: type, error: BaseException, traceback: Any, tb_offset: int | None = None
-    ) -> list[str]:
-        line = f"{kind.__name__}: {error}"
-        shell._showtraceback(kind, error, [line])  # to the notebook's front end
-        return [line]
-
-    shell = get_ipython()
-    assert shell is not None, "notebook.one_line_errors() is for notebooks"
-    shell.set_custom_exc((ParameterError, RunError, OSError), show)
-
-
 def run_from_notebook(values: dict[str, Any]) -> Run:
     """The run that experiment.ipynb's parameters describe.
 
@@ -70,10 +54,6 @@ def run_from_notebook(values: dict[str, Any]) -> Run:
             raise ParameterError(f"unknown parameter {params.shown(name)}; {why}")
     values = {name: value for name, value in values.items() if value is not None}
     agent, seed, results = (values.pop(name, None) for name in OWN)
-    if results is not None and not (isinstance(results, str) and results.isprintable()):
-        raise ParameterError(
-            f"results_dir: {params.shown(results)} is not allowed: must be a folder"
-        )
     resolved = params.resolve(values, project_root() / "params")
     if resolved.variations:
         raise ParameterError(

@@ -12,23 +12,36 @@ from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import pandas as pd
+from IPython.core.getipython import get_ipython
 from IPython.display import Markdown, display
 from matplotlib import pyplot as plt
 from matplotlib.figure import Figure
 from matplotlib_inline.backend_inline import set_matplotlib_formats
 
+from atari_dqn.params import ParameterError
 from atari_dqn.report import crossrefs, interactive, plots
-from atari_dqn.runs.files import project_root
+from atari_dqn.runs.files import RunError, project_root
 
 if TYPE_CHECKING:  # what plays and draws videos takes seconds to import
     from atari_dqn.report.video import Video
 
 
 def start() -> None:
-    """Prepares a notebook: figures in the project's style, as vector graphics."""
+    """Prepares a notebook: figures in the project's style, as vector graphics; and from now on,
+    what a user can mend is an error of one line, as it is on the command line."""
     plots.style()
     # bbox_inches: a figure keeps its size, so that places on it can be told beforehand
     set_matplotlib_formats("svg", bbox_inches=None, metadata={"Date": None, "Creator": None})
+    if shell := get_ipython():
+        shell.set_custom_exc((ParameterError, RunError, OSError), _one_line)
+
+
+def _one_line(
+    shell: Any, kind: type, error: BaseException, traceback: Any, tb_offset: int | None = None
+) -> list[str]:
+    line = f"{kind.__name__}: {error}"
+    shell._showtraceback(kind, error, [line])  # to the notebook's front end
+    return [line]
 
 
 def show_text(markdown: str) -> None:

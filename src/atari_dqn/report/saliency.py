@@ -92,7 +92,7 @@ def show_spreads(section: Section) -> pd.DataFrame:
             seen = np.stack(
                 [observation_at(game, step, stack) for step in range(len(game.actions))]
             )
-            heading = {"agent": params.title(run.agent)}
+            heading: dict[str, object] = {"agent": params.title(run.agent)}
             if len(section.params.seeds) > 1:
                 heading["seed"] = run.seed
             for games, path in models.stored(run).items():

@@ -8,7 +8,7 @@ from typing import BinaryIO
 
 from filelock import FileLock
 
-from atari_dqn.params import ParameterError, check_profile
+from atari_dqn.params import ParameterError, check_profile, shown
 
 
 class RunError(RuntimeError):
@@ -28,6 +28,8 @@ def results_folder(profile: str, results: Path | str | None = None) -> Path:
     ParameterError on an unknown profile, or if there can be no such folder."""
     check_profile(profile)
     if results is not None:
+        if not (isinstance(results, str | Path) and str(results).isprintable()):
+            raise ParameterError(f"results: {shown(results)} is not allowed: must be a folder")
         folder = Path(results)
         there = next(path for path in (folder, *folder.parents, Path()) if path.exists())
         if not there.is_dir():
