@@ -1,7 +1,9 @@
 import errno
+import gc
 import json
 import subprocess
 import sys
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -30,6 +32,23 @@ def test_what_is_saved_comes_back(tmp_path):
     assert loaded["chunks"] == STATE["chunks"]
     np.testing.assert_array_equal(loaded["nested"]["array"], STATE["nested"]["array"])
     assert loaded["nested"]["scalar"].shape == ()
+
+
+def test_nothing_of_a_checkpoint_waits_for_the_garbage_collector(tmp_path):
+    state = {"weights": np.ones(1_000_000), "images": [bytes(1_000_000)]}
+    checkpoints.save(tmp_path, state)  # what is imported and made once is not counted below
+    gc.disable()
+    tracemalloc.start()
+    try:
+        checkpoints.save(tmp_path, state)
+        assert tracemalloc.get_traced_memory()[0] < 1e6
+        loaded = checkpoints.load(tmp_path)
+        assert tracemalloc.get_traced_memory()[0] > 8e6
+        del loaded
+        assert tracemalloc.get_traced_memory()[0] < 1e6
+    finally:
+        tracemalloc.stop()
+        gc.enable()
 
 
 def test_no_checkpoint_is_none(tmp_path):

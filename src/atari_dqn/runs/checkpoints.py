@@ -98,37 +98,58 @@ def _found(folder: Path) -> list[Path]:
 
 def _write(folder: Path, state: dict[str, Any]) -> None:
     arrays: dict[str, np.ndarray] = {}
-    digests: dict[str, str] = {}
-
-    def split(value: Any, name: str) -> Any:
-        """Moves what JSON cannot hold to a place of its own and leaves a reference."""
-        if isinstance(value, dict):
-            return {key: split(part, f"{name}.{key}") for key, part in value.items()}
-        if isinstance(value, bytes):
-            arrays[name] = np.frombuffer(value, np.uint8)
-            return {"$bytes": name}
-        if hasattr(value, "detach"):  # a tensor, without importing torch to tell
-            value = value.detach().cpu().numpy()
-        if isinstance(value, np.ndarray):
-            # not np.ascontiguousarray, which makes a vector of a scalar
-            arrays[name] = value.copy(order="C")
-            return {"$array": name}
-        if isinstance(value, list) and value and isinstance(value[0], bytes):
-            arrays[name] = np.array([len(part) for part in value], np.int64)
-            file = f"{name.strip('.')}.bin"
-            digests[file] = _write_file(folder / file, value)
-            return {"$chunks": name, "$file": file}
-        if isinstance(value, list):
-            return [split(part, f"{name}.{index}") for index, part in enumerate(value)]
-        return value
-
-    rest = split(state, "")
+    chunks: dict[str, list[bytes]] = {}
+    rest = _split(state, "", arrays, chunks)
+    digests = {file: _write_file(folder / file, parts) for file, parts in chunks.items()}
     save_file(arrays, folder / "arrays.safetensors")
     digests["arrays.safetensors"] = _digest(folder / "arrays.safetensors")
     digests["state.json"] = _write_file(folder / "state.json", [json.dumps(rest).encode()])
     _write_file(folder / "manifest.json", [json.dumps(digests, indent=1).encode()])
     _sync(folder / "arrays.safetensors")
     _sync(folder)
+
+
+# Not functions within those that call them: one that calls itself would be a ring of references,
+# and hold every array of the checkpoint until the garbage collector comes by, which it seldom does.
+def _split(
+    value: Any, name: str, arrays: dict[str, np.ndarray], chunks: dict[str, list[bytes]]
+) -> Any:
+    """What of a value JSON can hold, with references to the rest, which goes to `arrays` and, by
+    the names of files, to `chunks`."""
+    if isinstance(value, dict):
+        return {key: _split(part, f"{name}.{key}", arrays, chunks) for key, part in value.items()}
+    if isinstance(value, bytes):
+        arrays[name] = np.frombuffer(value, np.uint8)
+        return {"$bytes": name}
+    if hasattr(value, "detach"):  # a tensor, without importing torch to tell
+        value = value.detach().cpu().numpy()
+    if isinstance(value, np.ndarray):
+        # not np.ascontiguousarray, which makes a vector of a scalar
+        arrays[name] = value.copy(order="C")
+        return {"$array": name}
+    if isinstance(value, list) and value and isinstance(value[0], bytes):
+        file = f"{name.strip('.')}.bin"
+        arrays[name], chunks[file] = np.array([len(part) for part in value], np.int64), value
+        return {"$chunks": name, "$file": file}
+    if isinstance(value, list):
+        return [_split(each, f"{name}.{place}", arrays, chunks) for place, each in enumerate(value)]
+    return value
+
+
+def _join(value: Any, arrays: dict[str, np.ndarray], folder: Path) -> Any:
+    """The value of which `_split` made this, with what it refers to."""
+    if isinstance(value, list):
+        return [_join(part, arrays, folder) for part in value]
+    if not isinstance(value, dict):
+        return value
+    if "$bytes" in value:
+        return arrays[value["$bytes"]].tobytes()
+    if "$array" in value:
+        return arrays[value["$array"]]
+    if "$chunks" in value:
+        with (folder / value["$file"]).open("rb") as file:
+            return [file.read(size) for size in arrays[value["$chunks"]].tolist()]
+    return {key: _join(part, arrays, folder) for key, part in value.items()}
 
 
 def _read(folder: Path) -> dict[str, Any]:
@@ -139,22 +160,7 @@ def _read(folder: Path) -> dict[str, Any]:
         if _digest(folder / file) != digest:
             raise ValueError(f"{file} does not match its checksum")
     arrays = load_file(folder / "arrays.safetensors")
-
-    def join(value: Any) -> Any:
-        if isinstance(value, list):
-            return [join(part) for part in value]
-        if not isinstance(value, dict):
-            return value
-        if "$bytes" in value:
-            return arrays[value["$bytes"]].tobytes()
-        if "$array" in value:
-            return arrays[value["$array"]]
-        if "$chunks" in value:
-            with (folder / value["$file"]).open("rb") as file:
-                return [file.read(size) for size in arrays[value["$chunks"]].tolist()]
-        return {key: join(part) for key, part in value.items()}
-
-    return join(json.loads((folder / "state.json").read_bytes()))
+    return _join(json.loads((folder / "state.json").read_bytes()), arrays, folder)
 
 
 def _write_file(path: Path, parts: list[bytes]) -> str:
