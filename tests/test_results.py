@@ -565,7 +565,7 @@ def test_a_finished_agents_score_stands_beside_those_under_conditions_it_has_nev
         evaluate(run, score=80.0 - less)
         evaluate(run, add=True, score=60.0 - less, sticky_actions=0.25)
         evaluate(run, add=True, score=FAR, difficulty=1)
-        rows = [("sequence", 10.0 - less), ("mirrored", 30.0 - less)]
+        rows = [("sequence", 10.0 - less), ("mirrored", 30.0 - less), ("field", 35.0 - less)]
         run.robustness.parent.mkdir(parents=True, exist_ok=True)
         table = {"length": 9, "trained_games": 3000}
         pd.DataFrame(
@@ -585,10 +585,12 @@ def test_a_finished_agents_score_stands_beside_those_under_conditions_it_has_nev
         ("DQN", "as trained", "40", "80.0"),
         ("DQN", "sticky actions, 0.25", "40", "60.0"),
         ("DQN", "left and right exchanged", "3", "30.0"),
+        ("DQN", "the same below the scoreboard", "3", "35.0"),
         ("DQN", "the best game's moves, blindly", "3", "10.0"),
         ("Double DQN", "as trained", "40", "30.0"),
         ("Double DQN", "sticky actions, 0.25", "40", "10.0"),
         ("Double DQN", "left and right exchanged", "3", "-20.0"),
+        ("Double DQN", "the same below the scoreboard", "3", "-15.0"),
         ("Double DQN", "the best game's moves, blindly", "3", "-40.0"),
     ]
     for row in table:

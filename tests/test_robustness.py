@@ -44,8 +44,8 @@ def test_a_sequence_is_played_in_every_opening_but_that_of_the_game_it_comes_fro
 
 
 def test_mirrored_games_are_as_many_as_evaluation_games(run, measured):
-    played = measured[measured.condition == "mirrored"]
-    assert sorted(played.game) == [0, 1, 2]
+    for condition in ("mirrored", "field"):
+        assert sorted(measured[measured.condition == condition].game) == [0, 1, 2]
     assert set(measured.trained_games) == {3}
 
 
@@ -113,6 +113,21 @@ def test_a_mirrored_player_sees_and_moves_the_other_way_round(small):
     assert move(robustness.mirrored(player, parameters), picture) == "LEFTFIRE"
     twice = robustness.mirrored(robustness.mirrored(player, parameters), parameters)
     np.testing.assert_array_equal(twice(picture), player(picture))
+
+
+@pytest.mark.parametrize(("game", "rows"), [("boxing", 10), ("breakout", 6)])
+def test_a_mirrored_field_lies_under_a_scoreboard_as_it_is(small, game, rows):
+    parameters, seen = small(game=game), []
+    moves = np.eye(len(make_env(parameters).actions))[-1:]  # one to the left
+    rng = np.random.default_rng(0)
+    picture = rng.integers(0, 255, (1, 84, 84, 4), np.uint8)
+    before = picture.copy()
+    play = robustness.field_mirrored(lambda given: seen.append(given) or moves, parameters)
+    exchanged = robustness.mirrored(lambda given: moves, parameters)
+    np.testing.assert_array_equal(play(picture), exchanged(picture))
+    np.testing.assert_array_equal(picture, before)
+    np.testing.assert_array_equal(seen[0][:, :rows], before[:, :rows])
+    np.testing.assert_array_equal(seen[0][:, rows:], before[:, rows:, ::-1])
 
 
 @pytest.mark.parametrize(("game", "rows"), [("boxing", 10), ("breakout", 6)])

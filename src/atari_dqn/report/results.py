@@ -532,6 +532,7 @@ def show_robustness(section: Section) -> None:
         },
         "scoreboard frozen": _under(section, robustness.SCOREBOARD),
         "left and right exchanged": _under(section, robustness.MIRRORED),
+        "the same below the scoreboard": _under(section, robustness.FIELD),
         BLINDLY: _under(section, robustness.SEQUENCE),
     }
     for agent, seed in played[["agent", "seed"]].drop_duplicates().itertuples(index=False):

@@ -3,6 +3,7 @@ never met:
 
     sequence    the moves of its best evaluation game, made blindly in every other opening
     mirrored    left and right exchanged, in what it sees and in what it does
+    field       the same, but it sees score and clock, or lives, as they are
     scoreboard  score and clock, or lives, as in the first picture, in what it sees
 
 Sticky actions, the third such condition, are a part of every final evaluation.
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
     from atari_dqn.evaluation import Player
 
 EXPERIMENTS = ("boxing_final", "breakout_final")  # whose agents are put to it
-SEQUENCE, MIRRORED, SCOREBOARD = "sequence", "mirrored", "scoreboard"
+SEQUENCE, MIRRORED, FIELD, SCOREBOARD = "sequence", "mirrored", "field", "scoreboard"
 
 
 @dataclass(frozen=True)
@@ -61,6 +62,7 @@ def measure(run: Run) -> None:
     conditions = {
         SEQUENCE: _sequence(run, trained),
         MIRRORED: _changed(run, trained, MIRRORED, mirrored),
+        FIELD: _changed(run, trained, FIELD, field_mirrored),
         SCOREBOARD: _changed(run, trained, SCOREBOARD, scoreboard_frozen),
     }
     missing = [trials for name, trials in conditions.items() if name not in set(table.condition)]
@@ -137,18 +139,25 @@ def _changed(
         yield Trial(condition, game.game, game.score, game.length, trained)
 
 
-def mirrored(player: "Player", params: Parameters) -> "Player":
-    """The player in a world where left is right: it sees the mirror image, and its moves are made
-    the other way round."""
+def mirrored(player: "Player", params: Parameters, first_row: int = 0) -> "Player":
+    """The player in a world where left is right: it sees the mirror image, from some row of it
+    down, and its moves are made the other way round."""
     names = [action.name for action in make_env(params).actions]
     exchange = {"LEFT": "RIGHT", "RIGHT": "LEFT"}
     opposite = [re.sub("LEFT|RIGHT", lambda side: exchange[side[0]], name) for name in names]
     moves = [names.index(name) for name in opposite]
 
     def play(observations: np.ndarray) -> np.ndarray:
-        return player(np.ascontiguousarray(observations[:, :, ::-1]))[:, moves]
+        seen = observations.copy()  # [games, height, width, stack]
+        seen[:, first_row:] = observations[:, first_row:, ::-1]
+        return player(seen)[:, moves]
 
     return play
+
+
+def field_mirrored(player: "Player", params: Parameters) -> "Player":
+    """The same, but score and clock, or lives, are seen as they are."""
+    return mirrored(player, params, GAMES[params.game].scoreboard)
 
 
 def scoreboard_frozen(player: "Player", params: Parameters) -> "Player":

@@ -37,14 +37,14 @@ NUMBER = rf"{WHOLE}(?:\.[0-9]+)?(?:e[+-]?[0-9]{{1,2}})?"
 OR_NAN = rf"(?:{NUMBER}|nan)?"  # pandas writes nothing for nan
 TRUTH = "(?:True|False)"
 DIGEST = "[0-9a-f]+"
-CONDITION = "(?:sequence|mirrored|scoreboard)"
+CONDITION = "(?:sequence|mirrored|field|scoreboard)"
 SAID = {
     WHOLE: "a whole number",
     NUMBER: "a number",
     OR_NAN: "a number or nan",
     TRUTH: "True or False",
     DIGEST: "a hexadecimal number",
-    CONDITION: "sequence, mirrored or scoreboard",
+    CONDITION: "sequence, mirrored, field or scoreboard",
 }
 STYLE = {"episode": WHOLE, "game": WHOLE, "digest": DIGEST, "frames": WHOLE, "score": NUMBER}
 COLUMNS: dict[str, dict[str, str]] = {
