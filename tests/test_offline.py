@@ -32,14 +32,14 @@ def test_the_size_is_that_of_all_runs_records_and_games(tmp_path, shown):
     assert numbers(shown.texts[-1]) == pytest.approx(expected)
 
 
-def test_the_speed_is_in_agent_steps_with_images_and_without(tmp_path, shown, monkeypatch):
+def test_the_speed_is_in_games_and_agent_steps_with_images_and_without(tmp_path, shown, monkeypatch):
     monkeypatch.setattr(offline, "FOLDER", str(tmp_path))
     offline.show_speed()
     assert not shown.texts
     measured = {"with_images": 2.0, "emulator_alone": 4.0, "agent_steps_per_game": 500.0}
     (tmp_path / "records.json").write_text(json.dumps({**measured, "processor": "X"}))
     offline.show_speed()
-    assert numbers(shown.texts[-1]) == [1000, 2000]
+    assert numbers(shown.texts[-1]) == [2, 1000, 4, 2000], "games, and agent steps"
 
 
 def test_the_curve_of_watching_is_the_mean_of_the_games_after_every_update(

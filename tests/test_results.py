@@ -376,6 +376,23 @@ def test_the_style_map_goes_from_the_first_checks_to_the_last(tmp_path, shown):
     assert "#fig-boxing-final-style-map .absent" in shown.texts[-1], "the ends would overlap"
 
 
+def test_the_map_of_discounts_has_a_way_for_each_over_as_many_games(tmp_path, shown):
+    for name, checks, distance in (("boxing_low_gamma", 10, 40.0), ("boxing_final", 12, 30.0)):
+        run = store(tmp_path, name, DUELING, np.zeros(100 * checks))
+        style(run, np.zeros(checks), distance=distance + np.arange(checks), conceded=20.0)
+    style(store(tmp_path, "boxing_high_gamma", DUELING, np.zeros(900)), np.zeros(9))
+    names = ("boxing_low_gamma", "boxing_final", "boxing_high_gamma")
+    results.show_discount_map([study(tmp_path)[name] for name in names], label="fig-map")
+    (axes,) = shown.figures["fig-map"].axes
+    ways = {line.get_label(): line.get_xydata() for line in axes.get_lines()[::3]}
+    assert list(ways) == ["discount 0.9", "discount 0.99"], "nine checks are too few"
+    assert ways["discount 0.9"][[0, -1]].tolist() == [[42, 10], [47, 10]]
+    assert ways["discount 0.99"][[0, -1]].tolist() == [[32, 10], [37, 10]], "not to its own end"
+    assert numbers(shown.captions["fig-map"]) == [1000, 5]
+    results.show_discount_map([study(tmp_path)[names[0]]], label="fig-one")
+    assert "#fig-one .absent" in shown.texts[-1]
+
+
 def test_maps_of_the_ring_are_of_the_first_check_and_of_the_last(tmp_path, shown, monkeypatch):
     store(tmp_path, "boxing_final", DQN, np.zeros(300))
     asked = []

@@ -77,10 +77,11 @@ def test_side_by_side_each_agent_has_its_own_name_and_newest_model(tmp_path, rec
     assert numbers(recorded.captions["vid-side-by-side"]) == [30, 10, 11, 12]
 
 
-def test_a_knock_out_is_one_that_the_agent_gives(tmp_path, recorded):
-    for agent, knocked in ((DQN, [-1, 0, 0, 0]), (DOUBLE, [-1, 0, 1, 1])):
+def test_a_knock_out_is_given_by_the_best_agent_that_gives_one(tmp_path, recorded):
+    everyone = ((DQN, [0, 1, 0, 0], 30.0), (DOUBLE, [-1, 0, 1, 1], 40.0), (DUELING, [0] * 4, 50.0))
+    for agent, knocked, score in everyone:
         run = store(tmp_path, "boxing_final", agent, np.zeros(700))
-        evaluate(run, games=4, trained=700, knockout=knocked)
+        evaluate(run, games=4, trained=700, knockout=knocked, score=score)
     videos.show_knockout(study(tmp_path)["boxing_final"], "vid-knockout")
     assert recorded.played["network"] == (DOUBLE, 700)
     assert recorded.played["game"] == 2

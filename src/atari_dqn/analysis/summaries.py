@@ -276,8 +276,8 @@ def head_start(study: Study, experiment: str, base: str) -> str:
         said.append(f"{means[-1]:.1f} ({low:.1f} to {high:.1f}) at difficulty {difficulty}")
     gap = round(means[0], 1) - round(means[1], 1)  # of what is said
     where = "higher" if gap > 0 else "lower"
-    start = f"an agent of these runs starts {abs(gap):.1f} points {where}"
-    return f"Random play scores {' and '.join(said)}: {start}."
+    start = f"so an agent that knows nothing yet starts {abs(gap):.1f} points {where}"
+    return f"Random play scores {' and '.join(said)}, {start}."
 
 
 def board(study: Study) -> str:

@@ -270,6 +270,7 @@ def show_hours(study: Study) -> None:
         text += (
             f"\n\nThe {early.params.episodes:,} games of the early Breakout run took {ours:.1f} "
             f"hours{where}; the source report's took over {theirs['early_breakout_hours']} on a "
-            "laptop. The two do not compare: machines, updates per step and games' lengths differ."
+            "laptop. The two cannot be compared: machines, updates per step and games' lengths "
+            "differ."
         )
     show_text(text)

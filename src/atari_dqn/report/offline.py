@@ -60,10 +60,11 @@ def show_speed() -> None:
         return
     measured = json.loads(path.read_text())
     steps = measured["agent_steps_per_game"]
-    with_images, alone = (measured[name] * steps for name in ("with_images", "emulator_alone"))
+    with_images, alone = (measured[name] for name in ("with_images", "emulator_alone"))
     show_text(
-        f"One core ({measured['processor']}) plays {with_images:,.0f} agent steps per second again "
-        f"with the images that the agent saw, where the emulator alone makes {alone:,.0f}."
+        f"One core ({measured['processor']}) replays {with_images:.1f} games per second "
+        f"({with_images * steps:,.0f} agent steps) including the images that the agent saw; the "
+        f"emulator alone makes {alone:.1f} ({alone * steps:,.0f})."
     )
 
 

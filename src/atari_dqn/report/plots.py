@@ -416,16 +416,22 @@ def styles_along(styles: pd.DataFrame, measures: dict[str, str]) -> Figure:
 
 def style_map(styles: pd.DataFrame, measures: tuple[str, str], checks: int) -> Figure:
     """Each agent's way over its training on a map of two measures (columns of `Section.styles`),
-    each point the mean of so many checks in a row; hollow where it begins, filled where it ends."""
+    each point the mean of so many checks in a row; hollow where it begins, filled where it ends.
+    Where `styles` has a column variation, the ways of one agent's variations."""
+    if "variation" in styles:
+        names = list(styles.variation.unique())
+        colours = dict(zip(names, shades(len(names)), strict=True))
+        looks = {name: (name, colour, "-") for name, colour in colours.items()}
+    else:
+        looks = {agent: (params.title(agent), *STYLES[agent]) for agent in agents_of(styles)}
     figure, axes = plt.subplots(figsize=(WIDTH, 3.4))
-    for agent in agents_of(styles):
-        own = styles[styles.agent == agent].groupby("episode")[list(measures)].mean()
-        way = own.rolling(checks).mean().dropna().to_numpy().T
-        name, (colour, line) = params.title(agent), STYLES[agent]
-        (drawn,) = axes.plot(*way, color=colour, ls=line, lw=1.2, label=name)
+    for key, (name, colour, line) in looks.items():
+        own = styles[styles["variation" if "variation" in styles else "agent"] == key]
+        way = own.groupby("episode")[list(measures)].mean().rolling(checks).mean().dropna()
+        (drawn,) = axes.plot(*way.to_numpy().T, color=colour, ls=line, lw=1.2, label=name)
         named(drawn, name, value=name)
         for end, face in ((0, "white"), (-1, colour)):
-            axes.plot(*way[:, end], "o", ms=7, color=colour, markerfacecolor=face)
+            axes.plot(*way.iloc[end], "o", ms=7, color=colour, markerfacecolor=face)
     labels = {
         "distance": "distance of the boxers (pixels)",
         "conceded_per_minute": "points conceded per minute",

@@ -460,6 +460,13 @@ def show_learning_style(section: Section) -> None:
     )
 
 
+WAY = ("distance", "conceded_per_minute")  # what a map of style has to the right and upwards
+WAY_SAYS = (
+    "from the hollow point to the filled one: distance of the boxers and points conceded per "
+    f"minute, each a mean of {summaries.CHECKS} checks of greedy play in a row"
+)
+
+
 def show_style_map(section: Section) -> None:
     """Where each agent of Boxing goes, from its first check of greedy play to its last, on a map of
     distance and points conceded."""
@@ -468,13 +475,36 @@ def show_style_map(section: Section) -> None:
         show_placeholders(label)
         return
     show_figure(
-        plots.style_map(table, ("distance", "conceded_per_minute"), summaries.CHECKS),
+        plots.style_map(table, WAY, summaries.CHECKS),
         label=label,
-        caption=f"{section.title}: each agent's way over its training, from the hollow point to "
-        f"the filled one: distance of the boxers and points conceded per minute, each a mean of "
-        f"{summaries.CHECKS} checks of greedy play in a row.",
+        caption=f"{section.title}: each agent's way over its training, {WAY_SAYS}.",
         alt="A path per agent on a map: distance to the right, points conceded upwards.",
         data=f"results/styles/{section.params.experiment}/",
+    )
+
+
+def show_discount_map(sections: Sequence[Section], label: str) -> None:
+    """The same of one agent with different discounts, over as many games."""
+    ways = [
+        section.styles[section.styles.agent == AGENT].assign(
+            variation=f"discount {section.params.gamma:g}"
+        )
+        for section in sections
+        if not section.styles.empty
+    ]
+    ways = [way for way in ways if way.episode.nunique() >= 2 * summaries.CHECKS]
+    if len(ways) < 2:
+        show_absent(label, "A map will appear once two discounts have been trained for longer.")
+        return
+    games = min(way.episode.max() for way in ways)
+    together = pd.concat([way[way.episode <= games] for way in ways])
+    show_figure(
+        plots.style_map(together, WAY, summaries.CHECKS),
+        label=label,
+        caption=f"{params.title(AGENT)} with different discounts: its way over its first "
+        f"{games:,} training games, {WAY_SAYS}.",
+        alt="A path per discount on a map: distance to the right, points conceded upwards.",
+        data=", ".join(f"results/styles/{section.params.experiment}/" for section in sections),
     )
 
 
@@ -684,8 +714,8 @@ def show_playstyle(sections: Sequence[Section], label: str) -> None:
         caption=f"How {agent} boxes with different discounts, in the greedy games of the checks "
         f"along its training ({VALUE_GAMES} every {VALUES_PERIOD} training games): points and "
         "punches per minute, mean distance of the two boxers in pixels, and the share of the time "
-        "in which they stand so near that a punch can land. In each part of the training, only "
-        "checks that all runs have which came so far. Style and skill go together: compare rows of "
+        "in which they stand so near that a punch can land. Each part of the training "
+        "counts only the checks that its runs share. Style and skill go together: compare rows of "
         "the same training games, and rows of about the same score.",
         decimals=1,
     )

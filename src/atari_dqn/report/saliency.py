@@ -84,35 +84,33 @@ def spreads(network: nn.Module, observations: np.ndarray) -> dict[str, float]:
 
 def show_spreads(section: Section) -> pd.DataFrame:
     """How far apart values lie between the states of a game, and between the actions in one, to
-    every stored network of a run; returns the table."""
+    every stored network of the section's runs; returns the table."""
     table, rows = f"tbl-{section.slug}-spreads", []
-    for run in section.usable:
-        if record := first_evaluated(run):
-            game, stack = trajectory(run.params, record), run.params.frame_stack
-            seen = np.stack(
-                [observation_at(game, step, stack) for step in range(len(game.actions))]
-            )
-            heading: dict[str, object] = {"agent": params.title(run.agent)}
-            if len(section.params.seeds) > 1:
-                heading["seed"] = run.seed
-            for games, path in models.stored(run).items():
-                network = models.load_model(path, run.params)
-                rows.append(heading | {"games": games} | spreads(network, seen))
-    found = pd.DataFrame(rows)
-    if found.empty:
+    found = ((run, record) for run in section.usable if (record := first_evaluated(run)))
+    player, record = next(found, (None, None))
+    if player is None or record is None:
         show_placeholders(table)
-        return found
+        return pd.DataFrame(rows)
+    game, stack = trajectory(player.params, record), player.params.frame_stack
+    seen = np.stack([observation_at(game, step, stack) for step in range(len(game.actions))])
+    for run in section.usable:
+        heading: dict[str, object] = {"agent": params.title(run.agent)}
+        if len(section.params.seeds) > 1:
+            heading["seed"] = run.seed
+        for games, path in models.stored(run).items():
+            network = models.load_model(path, run.params)
+            rows.append(heading | {"games": games} | spreads(network, seen))
     show_table(
-        found,
+        pd.DataFrame(rows),
         label=table,
         caption=f"{section.title}: how much of an agent's values is the state's, after so many "
-        "training games, in every state of its first evaluation game: the mean value of a state, "
-        "standard deviations of the states' values and of the actions' around them, how far the "
-        "best action is above the second, and the part of the values' variance that lies between "
-        "states.",
+        f"training games, in every state of one game, {params.title(player.agent)}'s first "
+        "evaluation game: the mean value of a state, standard deviations of the states' values and "
+        "of the actions' around them, how far the best action is above the second, and the part of "
+        "the values' variance that lies between states.",
         decimals=2,
     )
-    return found
+    return pd.DataFrame(rows)
 
 
 def observation_at(game: Trajectory, step: int, stack: int) -> np.ndarray:

@@ -11,6 +11,7 @@ from atari_dqn import params
 from atari_dqn.agents import AGENTS
 from atari_dqn.analysis.study import Section
 from atari_dqn.games import KNOCK_OUT
+from atari_dqn.networks import DuelingNetwork
 from atari_dqn.report import heat
 from atari_dqn.report.outputs import show_absent, show_placeholders, show_video
 from atari_dqn.report.video import Video, play_with_instruments, side_by_side
@@ -28,10 +29,13 @@ MIND = (
 )
 TRACE = (
     "[Below each picture: the value of the best action over the last seconds, with white triangles "
-    "above it for points scored and grey ones below it for points conceded.]{.page} [Below the "
-    "pictures: the value of the best action (max Q), or of the state (V(s)) if the network has a "
-    "stream for it, with a thin line at each picture.]{.paper}"
+    "above it for points scored and grey ones below it for points conceded.]{.page}"
 )
+TRACE_PAPER = (
+    "[Below the pictures: the value of the best action (max Q){}, with a thin line at each "
+    "picture.]{{.paper}}"
+)
+STATE = ", or of the state (V(s)) if the network has a stream for it"
 # What lies over the pictures of a video with a layer of heat
 HEAT = (
     "[The switch makes the picture grey and lays over it]{{.page}}[Over the pictures, made grey,]"
@@ -51,6 +55,12 @@ def _scored(video: Video) -> str:
     *first, last = (f"{game.score:g}" for game in video.games)
     listed = f"{', '.join(first)} and {last}" if first else last
     return f"{listed} points".replace("-", "−")
+
+
+def _trace(*networks: nn.Module) -> str:
+    """What is drawn below the pictures of games that these play."""
+    dueling = any(isinstance(network, DuelingNetwork) for network in networks)
+    return f"{TRACE} {TRACE_PAPER.format(STATE if dueling else '')}"
 
 
 def _newest(section: Section) -> list[tuple[Run, int]]:
@@ -74,7 +84,7 @@ def show_best(section: Section, label: str, seconds: int) -> None:
         video,
         label=label,
         caption=f"{params.title(run.agent)} after {games:,} training games: the first {seconds} "
-        f"seconds of a game that ends with {_scored(video)}. {MIND} {TRACE}",
+        f"seconds of a game that ends with {_scored(video)}. {MIND} {_trace(network)}",
         alt=ALT.format(section.facts.title),
         data=str(run.name),
     )
@@ -96,7 +106,8 @@ def show_early_and_late(section: Section, label: str) -> None:
         video,
         label=label,
         caption=f"{params.title(run.agent)} after {chosen[0]:,} and {chosen[1]:,} training games, "
-        f"on the same game: the first 30 seconds. The games end with {_scored(video)}. {TRACE}",
+        f"on the same game: the first 30 seconds. The games end with {_scored(video)}. "
+        f"{_trace(*(network for network, _ in contestants.values()))}",
         alt=ALT.format(f"one agent twice in {section.facts.title}, early and late"),
         data=run.name,
     )
@@ -118,16 +129,22 @@ def show_side_by_side(section: Section, label: str) -> None:
         video,
         label=label,
         caption="The agents on the same game, each with its latest weights; the number is that of "
-        f"its training games. The first 30 seconds: the games end with {_scored(video)}. {TRACE}",
+        f"its training games. The first 30 seconds: the games end with {_scored(video)}. "
+        f"{_trace(*(network for network, _ in contestants.values()))}",
         alt=ALT.format(f"the agents side by side in {section.facts.title}"),
         data=section.origin,
     )
 
 
 def show_knockout(section: Section, label: str) -> None:
-    """The last seconds of the first evaluation game that was won by knock-out."""
+    """The last seconds of the first evaluation game that was won by knock-out by the agent that
+    evaluates best of those that won so."""
     table = section.evaluations
-    won = table[table.knockout == 1] if not table.empty else pd.DataFrame()
+    won = pd.DataFrame()
+    if not table.empty:
+        means = table.groupby(["agent", "seed"]).score.transform("mean")
+        best_first = table.assign(mean=means).sort_values("mean", ascending=False, kind="stable")
+        won = best_first[best_first.knockout == 1]
     if won.empty:
         show_placeholders(label)
         return
@@ -153,7 +170,7 @@ def show_knockout(section: Section, label: str) -> None:
         caption=f"A knock-out by {params.title(run.agent)} after {games:,} training games: the "
         f"last 15 seconds of evaluation game {number}, which ends with a score of "
         f"{_scored(video)}: {KNOCK_OUT} less the rival's. {MIND} "
-        f"{TRACE}",
+        f"{_trace(network)}",
         alt=ALT.format("a knock-out"),
         data=run.name,
     )
@@ -180,7 +197,7 @@ def show_heat(section: Section, label: str, seconds: int) -> None:
         label=label,
         caption=f"{params.title(run.agent)} after {games:,} training games: the first {seconds} "
         f"seconds of a game that ends with {_scored(video)}. "
-        f"{MIND} {TRACE} {HEAT.format(f'fig-{section.slug}-saliency')}",
+        f"{MIND} {_trace(network)} {HEAT.format(f'fig-{section.slug}-saliency')}",
         alt=ALT.format(f"{section.facts.title} with a layer of heat, where the network looks"),
         data=run.name,
         layer="heat",
