@@ -32,7 +32,7 @@ def test_the_size_is_that_of_all_runs_records_and_games(tmp_path, shown):
     assert numbers(shown.texts[-1]) == pytest.approx(expected)
 
 
-def test_the_speed_is_in_games_and_agent_steps_with_images_and_without(tmp_path, shown, monkeypatch):
+def test_the_speed_is_in_games_and_in_agent_steps(tmp_path, shown, monkeypatch):
     monkeypatch.setattr(offline, "FOLDER", str(tmp_path))
     offline.show_speed()
     assert not shown.texts

@@ -357,6 +357,17 @@ def test_the_time_to_a_knock_out_is_the_mean_of_the_games_that_end_so(tmp_path):
     assert change["last"] == 40, "of three knock-outs, whatever check they are of"
 
 
+def test_an_interval_of_a_change_ends_where_the_measure_does(tmp_path):
+    run = store(tmp_path, "boxing_final", DQN, np.zeros(1000))
+    knocked = [0, 1, 0, 0, 0] + [1] * 5
+    style(run, np.zeros(10), scored=100.0 * np.array(knocked), distance=[9.0, *[0.0] * 9])
+    changes = summaries.style_changes(study(tmp_path)["boxing_final"]).set_index("measure")
+    row = changes.loc["knock_outs", ["first", "last", "high"]]
+    assert row.tolist() == [20, 100, 80], "Welch's interval would go on to 136"
+    row = changes.loc["distance", ["first", "last", "low"]]
+    assert row.tolist() == [1.8, 0, -1.8], "and this one to -6.8"
+
+
 def test_the_style_map_goes_from_the_first_checks_to_the_last(tmp_path, shown):
     run = store(tmp_path, "boxing_final", DQN, np.zeros(1000))
     style(run, np.zeros(10), distance=30.0 + np.arange(10), conceded=[80.0] * 5 + [20.0] * 5)

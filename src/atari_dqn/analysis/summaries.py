@@ -531,9 +531,10 @@ CHECKS = 5  # of greedy play, at either end of training, that are compared
 def style_changes(section: Section) -> pd.DataFrame:
     """What changes in how agents play, from their first checks of greedy play to their last:
     columns agent, seed, measure (of `Section.styles`), first, last, the 95% interval of the change
-    (low, high; Welch's, over checks) and half_way: the training episodes after which the measure,
-    smoothed over as many checks, has first gone half of its way; none where the interval holds
-    zero, or where there is none. A mean is nan of fewer than two checks that have the measure."""
+    (low, high; Welch's, over checks, cut where the measure can go no further) and half_way: the
+    training episodes after which the measure, smoothed over as many checks, has first gone half of
+    its way; none where the interval holds zero, or where there is none. A mean is nan of fewer than
+    two checks that have the measure."""
     rows: list[dict[str, object]] = []
     if section.styles.empty:
         return pd.DataFrame(rows)
@@ -550,6 +551,8 @@ def style_changes(section: Section) -> pd.DataFrame:
             if not np.isnan(ends).any():
                 low, high = welch_interval(last.to_numpy(), first.to_numpy())
             clear = low > 0 or high < 0
+            most = 100 - ends[0] if "%" in measures[measure] else np.inf  # it can still go up
+            low, high = max(low, -ends[0]), min(high, most)
             smooth = series.dropna().rolling(CHECKS, center=True).mean()
             way = (smooth - ends[0]) / (ends[1] - ends[0] or np.nan) >= 0.5
             rows.append(

@@ -455,7 +455,8 @@ def show_learning_style(section: Section) -> None:
         caption=f"{section.title}: what changes in how the agents play: means of the first and of "
         f"the last {summaries.CHECKS} checks of greedy play, and after how many training games "
         "a measure has gone half of the way between them. A dash: fewer than two of these checks "
-        "have such a thing. Intervals are over checks of one run (Welch's t), not over seeds.",
+        "have such a thing. Intervals are over checks of one run (Welch's t; cut where a measure "
+        "can go no further), not over seeds.",
         decimals=1,
     )
 

@@ -85,7 +85,7 @@ def spreads(network: nn.Module, observations: np.ndarray) -> dict[str, float]:
 def show_spreads(section: Section) -> pd.DataFrame:
     """How far apart values lie between the states of a game, and between the actions in one, to
     every stored network of the section's runs; returns the table."""
-    table, rows = f"tbl-{section.slug}-spreads", []
+    table, rows = f"tbl-{section.slug}-spreads", list[dict[str, object]]()
     found = ((run, record) for run in section.usable if (record := first_evaluated(run)))
     player, record = next(found, (None, None))
     if player is None or record is None:
