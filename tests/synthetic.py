@@ -14,6 +14,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from atari_dqn import params
+from atari_dqn.analysis.study import TITLES as EXPERIMENTS
 from atari_dqn.analysis.study import Study
 from atari_dqn.params import TRAINING_VERSION
 from atari_dqn.runs import tables
@@ -149,8 +150,16 @@ def numbers(text):
     return [float(one.replace(",", "").replace("−", "-")) for one in re.findall(NUMBER, text)]
 
 
+def by_name(text):
+    """A text with the experiments' names, in backticks, in place of their titles."""
+    for name, title in sorted(EXPERIMENTS.items(), key=lambda item: -len(item[1])):
+        text = text.replace(title, f"`{name}`")
+    return text
+
+
 def facts(text):
     """The agents, experiments and numbers in a text, in their order, whatever words are between."""
+    text = by_name(text)
     names = "|".join(sorted(TITLES.values(), key=len, reverse=True))
     found = re.findall(rf"{names}|`\w+`|{NUMBER}", text.replace("−", "-"))
     return [one if one[-1] in "`N" else float(one.replace(",", "")) for one in found]

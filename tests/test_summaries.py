@@ -91,13 +91,6 @@ def test_the_claims_that_are_judged_are_counted_by_verdict(tmp_path):
     stored = three_true_and_one_false(tmp_path)
     counted = summaries.headline(stored).split("The source report makes 22 claims", 1)[1]
     assert "4 have been judged so far (3 “in these runs: yes”, 1 “in these runs: no”)" in counted
-    said = summaries.conclusion(stored)
-    (true,) = re.findall(r"Claims with the verdict \*in these runs: yes\*: (.*)", said)
-    (false,) = re.findall(r"Claims with the verdict \*in these runs: no\*: (.*)", said)
-    assert len(true.split("; ")) == 3
-    assert "“Double DQN ends highest in Boxing”" in true
-    assert false == "“Dueling Double DQN is the best of the first 500 games in both games”."
-    assert len(re.findall(r"^Claims with", said, re.MULTILINE)) == 2, "and none that is open"
 
 
 def test_agents_are_compared_the_best_first_and_with_their_games_human_score(tmp_path):
@@ -177,28 +170,14 @@ def test_a_reading_has_a_line_for_every_seed_each_of_its_own_games(tmp_path):
     assert facts(second)[-3:] == [VALUE_GAMES, 300, 41.0]
 
 
-def test_a_reading_gives_the_claims_about_its_experiment_with_number_verdict_and_evidence(tmp_path):
+def test_a_reading_gives_the_claims_about_its_experiment_with_number_and_verdict(tmp_path):
     stored = three_true_and_one_false(tmp_path)
-    said = [line for line in lines(summaries.reading(stored, "boxing_final")) if "claim" in line]
-    judged = {int(re.search(r"claim (\d+)", line)[1]): line for line in said}
+    said = [line for line in lines(summaries.reading(stored, "boxing_final")) if "Claim" in line]
+    judged = {int(re.search(r"Claim (\d+)", line)[1]): line for line in said}
     assert sorted(judged) == [1, 2, 3, 4]
     for number, line in judged.items():
-        assert line.startswith(f"- *In these runs: {'no' if number == 3 else 'yes'}*")
-    compared = [
-        "Double DQN",
-        90,
-        "DQN",
-        80,
-        10,
-        10,
-        "Double DQN",
-        90,
-        "Dueling Double DQN",
-        85,
-        5,
-        5,
-    ]
-    assert facts(judged[4])[-12:] == compared
+        assert line.endswith(f"*in these runs: {'no' if number == 3 else 'yes'}*.")
+    assert "“Double DQN ends highest in Boxing”" in judged[4]
     store(tmp_path, "breakout_final", DQN, np.zeros(200))
     waiting = lines(summaries.reading(study(tmp_path), "breakout_final"))[-1]
     assert numbers(waiting) == [5, 6, 9], "claim 3 is false already"
@@ -242,7 +221,7 @@ def test_a_reading_tells_where_a_run_stands_and_when_it_passed_the_human_score(t
     assert "Claims 1 to 4 of @tbl-findings are still open" in text
 
 
-def test_a_reading_puts_the_source_reports_scores_beside_ours_at_the_last_common_mark(tmp_path):
+def test_the_headline_puts_the_source_reports_scores_beside_ours_at_the_last_common_mark(tmp_path):
     store(tmp_path, "boxing_final", "dqn", np.full(1100, 60.0))
     store(tmp_path, "boxing_final", "double_dqn", np.full(600, 20.0))
     stored = study(tmp_path)
@@ -250,8 +229,7 @@ def test_a_reading_puts_the_source_reports_scores_beside_ours_at_the_last_common
         "the source report's: over games 501 to 1,000, DQN 60.0 and 51.6; over games 1 to 500, "
         "Double DQN 20.0 and 29.0 (see @sec-why)."
     )
-    for text in (summaries.reading(stored, "boxing_final"), summaries.headline(stored)):
-        assert expected in text
+    assert expected in summaries.headline(stored)
 
 
 def test_an_agent_that_has_just_begun_is_named_and_compared_with_nobody(tmp_path):
@@ -504,12 +482,15 @@ def test_how_alike_blocks_are_is_measured_in_the_stored_runs(tmp_path):
     measured = [likeness(np.array(blocks)[at : at + 10, 0]) for at in range(0, 60, 10)]
     said = summaries.neighbours(study(tmp_path))
     ceiling = [10] if max(measured) == pytest.approx(0.8) else []
-    assert ("can show" in said) == ("or less" in said) == bool(ceiling)
-    expected = [50, 6, np.median(measured), max(measured), *ceiling, 95]
-    assert numbers(said)[:-4] == pytest.approx(expected, abs=0.006)
-    at_median, fewest, at_highest, count = numbers(said)[-4:]
-    assert (fewest, count) == (10, 10)
-    assert 60 < at_highest < at_median < 98, "% of cases"
+    assert ("can show" in said) == ("fewer" in said) == bool(ceiling)
+    stretches, at_median, highest, at_highest = (
+        numbers(part) for part in re.split(r"simulations|blocks\)\. |; there", said)
+    )
+    assert stretches == pytest.approx([50, 6, np.median(measured)], abs=0.006)
+    assert highest == pytest.approx([max(measured), *ceiling], abs=0.006)
+    for held in (at_median, at_highest):
+        assert (held[0], held[2]) == (95, 10)
+    assert 60 < at_highest[1] < at_median[1] < 98, "% of cases"
 
 
 def test_stretches_of_few_blocks_are_trusted_no_more_than_their_own_number_allows(tmp_path):
@@ -518,7 +499,7 @@ def test_stretches_of_few_blocks_are_trusted_no_more_than_their_own_number_allow
     store(tmp_path, "boxing_final", DQN, rising)
     store(tmp_path, "breakout_early", DQN, np.random.default_rng(0).normal(size=1200))
     said = summaries.neighbours(study(tmp_path))
-    highest, ceiling = numbers(said)[3:5]
+    highest, ceiling = numbers(said.split("The highest value is")[1])[:2]
     assert (highest, ceiling) == (0.8, 10)
     assert numbers(said)[-2:] == pytest.approx([100 * coverage(0.8, 10), 10], abs=0.5)
 

@@ -128,6 +128,7 @@ class Section:
             delattr(part, name)
         part.runs = [run for run in self.runs if run.variation == variation]
         part.name = f"{self.name} ({spelled(variation)})"
+        part.title = f"{self.title} ({spelled(variation)})"
         return part
 
     @cached_property

@@ -201,7 +201,8 @@ def _others(section: Section, found: Standings) -> str:
 
 
 def conclusion(study: Study) -> str:
-    """How the agents compare over several seeds, if there are some, and what the verdicts are."""
+    """What can be said before there is a score, and how the agents compare over several seeds, if
+    there are some; else empty."""
     said = []
     if not any(standings(study[name]) for name in ("boxing_final", "breakout_final")):
         played, planned = _played(study)
@@ -213,10 +214,6 @@ def conclusion(study: Study) -> str:
         )
     if together := over_seeds(study):
         said.append(together)
-    judged = findings(study)
-    for verdict, rows in judged[~judged.verdict.isin(UNJUDGED)].groupby("verdict", sort=False):
-        claimed = "; ".join(f"\u201c{claim}\u201d" for claim in rows.claim)
-        said.append(f"Claims with the verdict *{verdict}*: {claimed}.")
     return "\n\n".join(said)
 
 
@@ -369,13 +366,14 @@ def neighbours(study: Study) -> str:
     ceiling, more = "", ""
     if np.isclose(most, 1 - 2 / number):
         ceiling = f", the most that {number} blocks can show"
-        more = ", or less if the true correlation is higher"
+        more = ", or in fewer if the true correlation is higher"
     return (
         f"How alike are neighbouring blocks of {BLOCK} training games? In "
-        f"{len(found)} stretches of our runs the correlation has a median of {middle:.2f}, and its "
-        f"highest value is {most:.2f}{ceiling}. Simulated, an interval that is meant to hold the "
-        f"mean in 95% of cases does so in {coverage(middle, fewest):.0%} at that median ({fewest} "
-        f"blocks) and in {coverage(most, number):.0%} at the highest value ({number} blocks){more}."
+        f"{len(found)} stretches of our runs the correlation has a median of {middle:.2f}. In "
+        "simulations of such stretches a 95% interval then holds the true mean in "
+        f"{coverage(middle, fewest):.0%} of cases ({fewest} blocks). The highest value is "
+        f"{most:.2f}{ceiling}; there a 95% interval holds it in {coverage(most, number):.0%} of "
+        f"cases ({number} blocks){more}."
     )
 
 
@@ -392,16 +390,13 @@ def reading(study: Study, experiment: str) -> str:
             greedy = [_of(table, agent, seed) for table in (section.evaluations, section.values)]
             said = _progress(section, played) + _without_exploring(*greedy)
             lines.append(f"- {params.title(str(agent))}{seeds}{said}.")
-        if beside := beside_source(section):
-            lines.append(f"- {beside}")
     waiting: list[int] = []
     untested: list[str] = []
     for number, claim in enumerate(FINDINGS, start=1):
         if experiment not in claim.experiments:
             continue
         found = claim.judge(study)
-        said = f"- *{found.verdict.capitalize()}*: claim {number}, \u201c{claim.text}\u201d "
-        said += f"({found.evidence})."
+        said = f"- Claim {number} of @tbl-findings, \u201c{claim.text}\u201d: *{found.verdict}*."
         if found.outcome == Outcome.OPEN:
             waiting.append(number)
         else:

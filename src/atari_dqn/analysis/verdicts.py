@@ -14,7 +14,7 @@ finished runs are compared likewise, or episode by episode (Welch's t); of episo
 another, which few openings and hardly any chance bring about, only one counts as evidence.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Any
@@ -55,11 +55,12 @@ class Outcome(Enum):
 @dataclass(frozen=True)
 class Verdict:
     """`evidence` is a sentence of computed numbers; `seeds` is how many it rests on, on the side
-    that has fewer."""
+    that has fewer; `waits` are the experiments that it waits for."""
 
     outcome: Outcome
     evidence: str
     seeds: int = 1
+    waits: tuple[str, ...] = ()
 
     @property
     def verdict(self) -> str:
@@ -72,14 +73,19 @@ def all_of(verdicts: list[Verdict]) -> Verdict:
     outcomes = [verdict.outcome for verdict in verdicts]
     ranked = (Outcome.NO, Outcome.OPEN, Outcome.UNCLEAR, Outcome.YES)
     worst = next(outcome for outcome in ranked if outcome in outcomes)
-    evidence = dict.fromkeys(
-        verdict.evidence
-        for verdict in verdicts  # what is there may change the picture
-        if worst != Outcome.OPEN or verdict.outcome == Outcome.OPEN
-    )
+    kept = [verdict for verdict in verdicts if worst != Outcome.OPEN or verdict.outcome == worst]
+    said = [*dict.fromkeys(verdict.evidence for verdict in kept if not verdict.waits)]
+    waits = tuple(dict.fromkeys(name for verdict in kept for name in verdict.waits))
+    if waits:  # what is there may change the picture, but for a no
+        said.append(_waiting(waits) + ", which cannot change this" * (worst == Outcome.NO))
     fewest = min(verdict.seeds for verdict in verdicts)
     most = max(verdict.seeds for verdict in verdicts if verdict.outcome == worst)
-    return Verdict(worst, "; ".join(evidence), most if worst == Outcome.NO else fewest)
+    seeds = most if worst == Outcome.NO else fewest
+    return Verdict(worst, "; ".join(said), seeds, () if len(said) > 1 else waits)
+
+
+def _waiting(experiments: Sequence[str]) -> str:
+    return f"waiting for {' and '.join(experiments)}"
 
 
 Rule = Callable[[float, float], Outcome]  # what an interval of a difference says of a claim
@@ -204,7 +210,7 @@ def _against(sections: tuple[Section, Section], agents: tuple[str, str], means: 
     """The two sides of a comparison, by what tells them apart."""
     names = [params.title(agent) for agent in agents]
     if agents[0] == agents[1]:
-        names = [section.name for section in sections]
+        names = [f"{section.title}," for section in sections]
         names[0] = f"{params.title(agents[0])}: {names[0]}"
     return " against ".join(f"{name} {mean:.1f}" for name, mean in zip(names, means, strict=True))
 
@@ -216,9 +222,9 @@ def _enough(section: Section, scores: np.ndarray) -> bool:
 
 
 def _not_yet(*sections: Section) -> Verdict:
-    shares = [f"{each.name} ({_share(each)})" for each in sections if not each.complete]
-    said = f"waiting for {', '.join(shares)}" if shares else "too few games for an interval"
-    return Verdict(Outcome.OPEN, said)
+    waits = [f"{each.title} ({_share(each)} played)" for each in sections if not each.complete]
+    said = _waiting(waits) if waits else "too few games for an interval"
+    return Verdict(Outcome.OPEN, said, waits=tuple(waits))
 
 
 def _share(section: Section) -> str:
@@ -288,7 +294,7 @@ def beats_variation(study: Study, experiment: str, sweep: str, variation: str) -
     episodes of the sweep."""
     changed = study[sweep].only(variation)
     if not changed.runs:
-        return Verdict(Outcome.OPEN, f"no run of {changed.name}")
+        return Verdict(Outcome.OPEN, f"no run of {changed.title}")
     agent, last = changed.params.agents[0], changed.params.episodes
     return compare_scores((study[experiment], changed), (agent, agent), 1, last)
 
@@ -526,8 +532,8 @@ def compare_steadiness(
     said = _against(sections, (steady[1], unsteady[1]), roots)
     return Verdict(
         MORE(low, high),
-        f"roughness, points: {said}; difference of their squares {low:.1f} to {high:.1f} (mean "
-        f"scores {' and '.join(levels)})",
+        f"swings beyond the luck of the games, in points: {said}; difference of their squares "
+        f"{low:.1f} to {high:.1f} (mean scores {' and '.join(levels)})",
         min(map(len, rough)),
     )
 
@@ -552,8 +558,8 @@ def beaten_everywhere(study: Study) -> Verdict:
         own = played[played.agent == agent]
         verdicts.append(_beaten_by(agent, own, len(section.params.seeds)))
     found = all_of(verdicts)
-    if found.outcome == Outcome.OPEN:
-        return found
+    if found.outcome == Outcome.OPEN:  # what there is says much already
+        return replace(found, evidence="; ".join(verdict.evidence for verdict in verdicts))
     hardest = played.groupby("difficulty").score.mean().idxmin()
     said = f"the hardest by these scores is difficulty {hardest}; {found.evidence}"
     return Verdict(found.outcome, said, found.seeds)
@@ -595,6 +601,6 @@ def runs_finished(study: Study, names: list[str]) -> Verdict:
     planned = [section.planned for section in sections]
     share = np.average([section.share for section in sections], weights=planned)
     done = all(section.complete for section in sections)
-    said = ", ".join(f"{section.name} {_share(section)}" for section in sections)
+    said = "; ".join(f"{section.title}: {_share(section)}" for section in sections)
     said = f"{share:.0%} of the games played ({said})"
     return Verdict(Outcome.YES if done else Outcome.OPEN, said, SEEDS)
