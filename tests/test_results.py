@@ -484,7 +484,7 @@ def test_checks_without_a_measure_do_not_hide_a_change_that_is_clear(tmp_path, s
     assert 1400 <= row.half_way <= 1700
     results.show_learning_style(section)
     rows = {row["measure"]: row for row in shown.tables["tbl-breakout-late-style"]}
-    assert rows["games with a tunnel (%)"]["half-way after"] == "no clear change"
+    assert "no clear change" in rows["games with a tunnel (%)"]["DQN"]
 
 
 def test_a_share_of_one_check_alone_is_no_beginning(tmp_path, shown):
@@ -493,8 +493,7 @@ def test_a_share_of_one_check_alone_is_no_beginning(tmp_path, shown):
     style(run, np.zeros(10), returned_fast=balls, lost_fast=balls)
     results.show_learning_style(study(tmp_path)["breakout_late"])
     rows = {row.pop("measure"): row for row in shown.tables["tbl-breakout-late-style"]}
-    unknown = {"first": "–", "change (95%)": "–", "half-way after": "–"}
-    assert rows["fastest balls returned (%)"] == {"agent": "DQN", "last": "50.0", **unknown}
+    assert rows["fastest balls returned (%)"] == {"DQN": "– → 50"}
     assert "A dash" in shown.captions["tbl-breakout-late-style"]
 
 
@@ -517,21 +516,18 @@ def test_a_change_of_style_is_told_with_the_games_after_which_half_of_it_is_done
     results.show_learning_style(section)
     rows = {row.pop("measure"): row for row in shown.tables["tbl-boxing-final-style"]}
     # five checks of 1 (8 there are) and five of 2, smoothed over five: 1.6 at the 9th
-    punches, reach = rows["punches thrown per minute"], rows["time within reach (%)"]
-    assert (punches["first"], punches["last"]) == ("10.0", "20.0")
-    assert punches["half-way after"] == "900 games"
-    assert (reach["first"], reach["last"]) == ("50.0", "100.0")
-    assert rows["points scored per punch"] == {
-        "agent": "DQN",
-        **{"first": "2.0", "last": "2.0"},
-        **{"change (95%)": "+0.0 to +0.0", "half-way after": "no clear change"},
-    }
-    assert rows["distance of the boxers (pixels)"]["half-way after"] == "no clear change"
-    low, high = numbers(rows["points conceded per minute"]["change (95%)"])
+    told = {measure: row["DQN"] for measure, row in rows.items()}
+    assert told["punches thrown per minute"].startswith("10 → 20 (")
+    assert told["punches thrown per minute"].endswith("; half after 900 games)")
+    assert told["time within reach (%)"].startswith("50 → 100 (")
+    assert told["points scored per punch"] == "2 → 2 (+0 to +0; no clear change)"
+    assert told["distance of the boxers (pixels)"].endswith("; no clear change)")
+    low, high = numbers(told["points conceded per minute"])[2:]
     assert low < 0 < high
-    low, high = numbers(rows["points scored per minute"]["change (95%)"])
+    low, high, games = numbers(told["points scored per minute"])[2:]
     assert 0 < low < 20 < high, "from 20 to 40"
-    assert numbers(shown.captions["tbl-boxing-final-style"]) == [5], "checks at either end"
+    assert games == 900
+    assert numbers(shown.captions["tbl-boxing-final-style"]) == [5, 95], "checks at either end"
 
 
 def test_what_there_was_nothing_of_at_first_has_no_change(tmp_path, shown):
@@ -541,9 +537,8 @@ def test_what_there_was_nothing_of_at_first_has_no_change(tmp_path, shown):
     results.show_learning_style(study(tmp_path)["breakout_late"])
     rows = {row.pop("measure"): row for row in shown.tables["tbl-breakout-late-style"]}
     fastest, tunnels = rows["fastest balls returned (%)"], rows["games with a tunnel (%)"]
-    unknown = {"first": "–", "change (95%)": "–", "half-way after": "–"}
-    assert fastest == {"agent": "DQN", "last": "50.0", **unknown}
-    assert (tunnels["first"], tunnels["last"]) == ("0.0", "100.0")
+    assert fastest == {"DQN": "– → 50"}
+    assert tunnels["DQN"].startswith("0 → 100 (+100 to +100; half after")
 
 
 def test_an_empty_place_gives_a_reason_where_no_badge_does(tmp_path, shown):

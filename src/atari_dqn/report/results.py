@@ -436,29 +436,32 @@ def show_learning_style(section: Section) -> None:
     if changes.empty:
         show_absent(table, f"No run has {2 * summaries.CHECKS} checks of greedy play yet.")
         return
-    rows = {
-        "agent": changes.agent.map(params.title),
-        "seed": changes.seed,
-        "measure": changes.measure.map(measures),
-        "first": changes["first"],
-        "last": changes["last"],
-        "change (95%)": [
-            "–" if np.isnan(row.low) else f"{row.low:+.1f} to {row.high:+.1f}"
-            for row in changes.itertuples()
-        ],
-        "half-way after": [_half_way(row) for row in changes.itertuples()],
-    }
-    shown = pd.DataFrame(rows)
+    seeded = len(section.params.seeds) > 1
+    rows: dict[str, dict[str, str]] = {}
+    for row in changes.itertuples():
+        who = params.title(row.agent) + f", seed {row.seed}" * seeded
+        rows.setdefault(measures[row.measure], {})[who] = _way(row)
     show_table(
-        shown.drop(columns="seed") if len(section.params.seeds) == 1 else shown,
+        pd.DataFrame([{"measure": measure, **ways} for measure, ways in rows.items()]),
         label=table,
         caption=f"{section.title}: what changes in how the agents play: means of the first and of "
-        f"the last {summaries.CHECKS} checks of greedy play, and after how many training games "
-        "a measure has gone half of the way between them. A dash: fewer than two of these checks "
-        "have such a thing. Intervals are over checks of one run (Welch's t; cut where a measure "
-        "can go no further), not over seeds.",
-        decimals=1,
+        f"the last {summaries.CHECKS} checks of greedy play; in brackets the 95% interval of the "
+        "change and after how many training games a measure has gone half of its way. A dash: "
+        "fewer than two of these checks have such a thing. Intervals are over checks of one run "
+        "(Welch's t; cut where a measure can go no further), not over seeds.",
     )
+
+
+def _way(change: Any) -> str:
+    """A change in how an agent plays: its ends, its interval, and when half of it is done."""
+    ends = (change.first, change.last)
+    said = " → ".join("–" if np.isnan(end) else f"{end:.3g}" for end in ends)
+    if np.isnan(change.low):
+        return said
+    half = "no clear change"
+    if not change.low <= 0 <= change.high:
+        half = "–" if pd.isna(change.half_way) else f"half after {change.half_way:,.0f} games"
+    return f"{said} ({change.low:+.3g} to {change.high:+.3g}; {half})"
 
 
 WAY = ("distance", "conceded_per_minute")  # what a map of style has to the right and upwards
@@ -532,14 +535,6 @@ def show_places(section: Section) -> dict[str, dict[int, np.ndarray]]:
         data=f"results/runs/{section.params.experiment}/*/*/games.jsonl.zst",
     )
     return found
-
-
-def _half_way(change: Any) -> str:
-    if np.isnan(change.low):
-        return "–"
-    if change.low <= 0 <= change.high:
-        return "no clear change"
-    return "–" if pd.isna(change.half_way) else f"{change.half_way:,.0f} games"
 
 
 BLINDLY = "the best game's moves, blindly"

@@ -65,8 +65,11 @@ local function span(element)
   return element
 end
 
+local floats = false -- whether anything may still do so, since the chapter began
+
 -- Figures on paper: with text alternatives, which pandoc leaves out.
 local function on_paper(file, alt, caption, label)
+  floats = true
   local open = "#figure(image(" .. quoted(file) .. ", width: 100%, alt: " .. quoted(alt) .. "), caption: ["
   return wrapped(open, caption, "]) <" .. label .. ">")
 end
@@ -153,16 +156,37 @@ local function breakable(code)
   return code
 end
 
+-- An agent's name stands once over its rows: repeated, it would take three lines of each.
+local function name_once(element)
+  local title = element.head.rows[1]
+  if not title or pandoc.utils.stringify(title.cells[1].contents) ~= "agent" then return end
+  for _, body in ipairs(element.bodies) do
+    local above
+    for _, row in ipairs(body.body) do
+      local name = pandoc.utils.stringify(row.cells[1].contents)
+      if name == above then row.cells[1].contents = {} end
+      above = name
+    end
+  end
+end
+
 local function on_paper_table(element)
   element = element:walk({ Code = breakable })
+  name_once(element)
   if rows(element) > WHOLE then
     after_long = true
-    return element
+    if not floats then return element end
+    floats = false -- what still does would come to stand within it
+    return pandoc.Blocks({ pandoc.RawBlock("typst", "#place.flush()"), element })
   end
+  floats = true
   return wrapped(after_long and "#floating(to: bottom)[" or "#floating[", { element }, "]")
 end
 
-local function heading() after_long = false end
+local function heading(element)
+  after_long = false
+  if element.level == 1 then floats = false end -- none leaves its chapter
+end
 
 -- The abstract stands before the contents, wherever the text has it.
 local function document(whole)
