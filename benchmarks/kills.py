@@ -138,13 +138,16 @@ def main() -> None:
         whole = Path(temporary, "whole")
         start(whole).wait()
         expected = contents(whole)
+        commit = Run(SMALL, whole).provenance()["sessions"][0]["commit"]
         while len(rows) < chosen.kills:
             number += 1
             folder = Path(temporary, f"run-{number}")
             began = time.monotonic()
             met = killed_run(folder, rng)
             equal = same(contents(folder), expected)
-            rows += [{"run": number, "ended_equal": equal, **each} for each in met]
+            rows += [
+                {"commit": commit, "run": number, "ended_equal": equal, **each} for each in met
+            ]
             seconds = time.monotonic() - began
             print(f"run {number}: {len(met)} kills, equal: {equal}, {seconds:.0f} s", flush=True)
     table = pd.DataFrame(rows)
