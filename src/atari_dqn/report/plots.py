@@ -258,7 +258,9 @@ def references(axes: Axes, facts: GameFacts, labelled: bool, upright: bool = Fal
             how |= {"xytext": (0, 2), "ha": "right" if side else "left", "va": "bottom"}
         else:
             at, how["xycoords"] = (side, score), ("axes fraction", "data")
-            how |= {"xytext": (2 - 4 * side, 2), "ha": "right" if side else "left"}
+            how |= {"xytext": (2 - 4 * side, 2 - 4 * side), "ha": "right" if side else "left"}
+            how["va"] = "top" if side else "bottom"  # marks lie above random play
+            axes.margins(y=0.09)  # room for its name
             how |= {"path_effects": [withStroke(linewidth=2.5, foreground="white")], "zorder": 5}
         axes.annotate(text, at, **how)
 
