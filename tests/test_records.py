@@ -445,7 +445,7 @@ def test_the_command_line_verifies_replays_and_makes_videos(run, tmp_path, comma
     assert video.read_bytes()[4:8] == b"ftyp"
     code, said, _ = command("verify", run, run)
     assert code == 0
-    assert said == f"{run}: 9 games played again, all as the tables say\n" * 2
+    assert said == f"{run}: 9 of 9 games played again, all as the tables say\n" * 2
     assert command("verify", run, "--all", "--episodes", 2)[0] == 2
     rewrite(run, "episodes.csv", lambda table: table.assign(score=table.score - (table.index == 1)))
     code, _, errors = command("verify", run)
