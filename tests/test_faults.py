@@ -85,7 +85,11 @@ def test_what_is_no_model_is_named(tmp_path, content):
 
 
 @pytest.mark.parametrize(
-    "about", ['{"games": 1e400}', '{"games": -1}', '{"games": "x"}', "[" * 50_000, "[]", "{}"]
+    "about",
+    [
+        *(f'{{"games": {games}, "sha256": "0"}}' for games in ("1e400", "-1", '"x"', "1.5", "[1]")),
+        *("[" * 50_000, "[]", "{}"),
+    ],
 )
 def test_what_a_model_says_of_itself_is_a_number_of_games_or_is_refused(tmp_path, about):
     path = tmp_path / "model.safetensors"
