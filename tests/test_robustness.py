@@ -64,8 +64,7 @@ def test_what_is_measured_is_measured_again_for_another_model_only(run, measured
 def test_a_condition_that_lacks_a_game_counts_as_not_played_and_is_played_again(
     run, measured, condition
 ):
-    before = run.robustness.read_bytes()
-    lines = before.splitlines(keepends=True)
+    lines = measured.to_csv(index=False).encode().splitlines(keepends=True)
     cut = next(at for at, line in enumerate(lines) if line.startswith(condition.encode()))
     for left in (lines[:cut] + lines[cut + 1 :], lines[:1]):
         run.robustness.write_bytes(b"".join(left))
