@@ -16,13 +16,19 @@ from matplotlib.figure import Figure
 from atari_dqn import params
 from atari_dqn.analysis.study import TITLES as EXPERIMENTS
 from atari_dqn.analysis.study import Study
+from atari_dqn.envs import EpisodeRecord
 from atari_dqn.params import TRAINING_VERSION
-from atari_dqn.runs import tables
+from atari_dqn.runs import records, tables, weights
 from atari_dqn.runs.run import Run, runs_of
 
 ROOT = Path(__file__).parents[1]
 AGENTS = ("dqn", "double_dqn", "dueling_double_dqn")
 TITLES = {"dqn": "DQN", "double_dqn": "Double DQN", "dueling_double_dqn": "Dueling Double DQN"}
+TOLD_OF = {tables.EPISODES: 1, tables.VALUES: params.VALUE_GAMES, tables.EVALUATIONS: 1}
+SESSION = {
+    **{"started": "2026-01-02T03:04:05+00:00", "commit": "0" * 40, "processor": "a processor"},
+    **{"device": "cpu", "versions": {"ale-py": "0"}},
+}
 SECONDS, FRAMES, STEPS = 36.0, 20_000, 2_500  # a training game: by the clock, and in its course
 
 
@@ -59,16 +65,36 @@ def store(results, experiment, agent, scores, seed=1, variation="", epsilon=0.22
     pd.DataFrame(timing).to_csv(run.folder / "timing.csv", index=False)
     few = {"evaluation_games": 1, "evaluation_difficulties": [], "evaluation_stickiness": []}
     (run.folder / "params.yaml").write_text(params.text(run.params.model_copy(update=few)))
+    if len(scores) >= run.params.episodes:  # it is complete, and has what such a run has
+        (run.folder / "model.safetensors").write_bytes(weights.pack({}, len(scores)))
+        check(run, np.zeros(len(scores) // 100))
+        evaluate(run, 1, trained=len(scores))
+    record(run)
     state = "complete" if len(scores) >= run.params.episodes else "interrupted"
     status = {"state": state, "episodes_done": len(scores), "episodes": run.params.episodes}
     (run.folder / "status.json").write_text(json.dumps(status))
     known = {"training_version": TRAINING_VERSION, "identity": run.params.identity()}
-    known |= {
-        "sessions": [{"commit": "0" * 40, "processor": "a processor", "device": "cpu"}],
-        "resumes": 0,
-    }
+    sessions = [{**SESSION, **given} for given in provenance.pop("sessions", [{}])]
+    known |= {"sessions": sessions, "resumes": 0, "agent_steps": STEPS * len(scores)}
     (run.folder / "provenance.json").write_text(json.dumps(known | provenance))
     return run
+
+
+def record(run, *played):
+    """Gives a run the games that are `played` on record, after as many as its tables tell of, which
+    are of no model of its own."""
+    games = 0
+    for name, each in TOLD_OF.items():
+        if (path := run.folder / name).exists():
+            games += each * (path.read_bytes().count(b"\n") - 1)
+    (run.folder / records.FILE).write_bytes(_records(games) + records.encode([*played]))
+
+
+@functools.cache
+def _records(games):
+    heading = {**dict.fromkeys(records.KEYS[records.EVALUATION], 0), "kind": records.EVALUATION}
+    none = EpisodeRecord(0, b"", None)
+    return records.encode([({**heading, "game": game}, none) for game in range(games)])
 
 
 def standing_out(mean, games, by=100.0):
@@ -107,6 +133,7 @@ def evaluate(run, games=40, trained=None, add=False, **columns):
     settings |= {"seed": run.seed, "trained_games": trained or run.params.episodes}
     table, path = pd.DataFrame(settings | columns), run.folder / "evaluations.csv"
     put_evaluations(path, pd.concat([pd.read_csv(path), table] if add else [table]))
+    record(run)
     if trained and trained < run.params.episodes:
         status = json.loads((run.folder / "status.json").read_text()) | {"state": "interrupted"}
         (run.folder / "status.json").write_text(json.dumps(status))
@@ -125,6 +152,7 @@ def check(run, score, predicted=1.0, realised=1.0, held_out=1.0):
     table = {"episode": games, "held_out_q": held_out, "predicted": predicted}
     table = pd.DataFrame({**table, "realised": realised, "score": score})
     table.to_csv(run.folder / "values.csv", index=False)
+    record(run)
 
 
 def style(run, score, greedy=4, **columns):

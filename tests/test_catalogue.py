@@ -99,6 +99,13 @@ def linked(folder, cell):
     return path
 
 
+def in_progress(run):
+    """Makes a complete run one that is not evaluated yet."""
+    (run.folder / "evaluations.csv").unlink()
+    path = run.folder / "status.json"
+    path.write_text(path.read_text().replace('"complete"', '"interrupted"'))
+
+
 def film(run, **heading):
     """The video of the one episode of a run with this heading."""
     (record,) = [
@@ -116,7 +123,7 @@ def test_the_list_says_of_every_agent_what_is_stored(tmp_path, small, monkeypatc
     monkeypatch.setattr(plan, "files", lambda profile: [])
     recorder.train(done)
     recorder.train(other)
-    (other.folder / "evaluations.csv").unlink()  # as of a run in progress
+    in_progress(other)
     table = pd.read_csv(done.folder / "episodes.csv").assign(score=[4.0, -9.5])
     table.to_csv(done.folder / "episodes.csv", index=False)
     monkeypatch.setattr(catalogue, "RECENT", 1)
@@ -188,7 +195,7 @@ def test_a_run_in_progress_is_listed_with_its_last_check(tmp_path, small, monkey
     for module in (params, evaluation):
         monkeypatch.setattr(module, "VALUE_GAMES", 3)
     recorder.train(run)
-    (run.folder / "evaluations.csv").unlink()
+    in_progress(run)
     catalogue.write("full", tmp_path, tmp_path)
     (row,) = listed(tmp_path)
     checked = pd.read_csv(run.folder / "values.csv").score.iloc[-1]

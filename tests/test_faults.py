@@ -13,6 +13,7 @@ from types import SimpleNamespace
 
 import pandas as pd
 import pytest
+import safetensors.numpy
 from conftest import SMALL
 from safetensors.torch import load_file
 
@@ -81,6 +82,30 @@ def test_what_is_no_model_is_named(tmp_path, content):
     for read in (models.read_model, models.trained_games):
         with pytest.raises(RunError, match=r"model\.safetensors cannot be read: "):
             read(path)
+
+
+@pytest.mark.parametrize(
+    "about",
+    [
+        *(f'{{"games": {games}, "sha256": "0"}}' for games in ("1e400", "-1", '"x"', "1.5", "[1]")),
+        *("[" * 50_000, "[]", "{}"),
+    ],
+)
+def test_what_a_model_says_of_itself_is_a_number_of_games_or_is_refused(tmp_path, about):
+    path = tmp_path / "model.safetensors"
+    path.write_bytes(safetensors.numpy.save({}, {"about": about}))
+    for read in (models.read_model, models.trained_games):
+        with pytest.raises(RunError, match=r"model\.safetensors cannot be read: ") as error:
+            read(path)
+        assert len(str(error.value).splitlines()) == 1
+
+
+def test_the_weights_of_another_network_are_refused_in_one_line(tmp_path, model, small):
+    path = tmp_path / "model.safetensors"
+    path.write_bytes(model)  # for a picture and two actions, where there are four and eighteen
+    with pytest.raises(RunError, match=r"model\.safetensors cannot be read: .*size mism") as error:
+        models.load_model(path, small(agents=["dqn"]))
+    assert len(str(error.value).splitlines()) == 1
 
 
 def test_no_game_is_played_whose_result_could_not_be_stored(tmp_path, small, monkeypatch):

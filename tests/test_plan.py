@@ -75,7 +75,7 @@ def test_all_stored_runs_are_verified_in_one_command_and_each_that_differs_is_na
     first, second = train(project, "small"), train(project, "small", gamma=0.5)
     code, lines, errors = verified("--episodes", 2)
     assert (code, errors) == (0, [])
-    said = "2 games played again, all as the tables say"
+    said = "2 of 4 games played again, all as the tables say"
     assert lines == [f"{run.folder}: {said}" for run in (first, second)]
     path = first.folder / "episodes.csv"
     table = pd.read_csv(path)

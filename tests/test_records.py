@@ -1,12 +1,16 @@
 """Games on record: played again they are the same games, and a table that lies is found out."""
 
+import json
 import shutil
 import sys
+import tracemalloc
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+import zstandard
 from conftest import SMALL
 
 from atari_dqn import __main__, evaluation, params
@@ -103,6 +107,87 @@ def test_damage_is_noticed_and_named(place):
 def test_a_game_of_no_kind_is_damage(heading):
     with pytest.raises(RecordError, match="here is damaged after 0 games"):
         list(records.read(records.encode([(heading, SOME[0][1])]), HERE))
+
+
+GAME = {"kind": "training", "episode": 1, "idle_frames": 1, "actions": "A"}
+CHANCE = ["0x1", "0x3", 0, 0]
+MALFORMED = {
+    "lists within lists": "[" * 50_000,
+    "no mapping": "[1]",
+    **{f"idle frames {said!r}": GAME | {"idle_frames": said} for said in ("x", 1.5, -1, True)},
+    **{f"episode {said!r}": GAME | {"episode": said} for said in ([1], "1", -1, 1.0, None)},
+    "a kind of kinds": GAME | {"kind": ["training"]},
+    **{
+        f"chance {number}": GAME | {"rng": chance}
+        for number, chance in enumerate(
+            (
+                *("x", [], CHANCE[:3], [hex(2**128), *CHANCE[1:]], ["-0x1", *CHANCE[1:]]),
+                *([1, *CHANCE[1:]], [*CHANCE[:2], 2, 0], [*CHANCE[:3], 2**32], [*CHANCE[:3], "0"]),
+            )
+        )
+    },
+    "actions that are no letters": GAME | {"actions": [0, 1]},
+    "an epsilon above one": GAME
+    | {**dict.fromkeys(records.KEYS["evaluation"], 0), "kind": "evaluation", "epsilon": 2},
+}
+
+
+@pytest.mark.parametrize("what", MALFORMED)
+def test_what_no_game_can_be_is_refused_in_a_line_whatever_holds_it(what):
+    line = MALFORMED[what]
+    text = line if isinstance(line, str) else json.dumps(line)
+    whole = compression.encode(json.dumps(GAME).encode() + b"\n")
+    with pytest.raises(RecordError, match=r"^here is damaged after 1 games: .") as error:
+        list(records.read(whole + compression.encode(text.encode() + b"\n"), HERE))
+    assert len(str(error.value).splitlines()) == 1
+    assert len(str(error.value)) < 500
+    chance = json.dumps(GAME | {"rng": CHANCE}).encode() + b"\n"
+    assert len(list(records.read(whole + compression.encode(chance), HERE))) == 2
+
+
+def test_a_frame_that_unpacks_to_gigabytes_is_refused_before_it_has(tmp_path):
+    zeros = zstandard.ZstdCompressor().compressobj()
+    million = bytes(2**20)
+    bomb = b"".join(zeros.compress(million) for _ in range(1024)) + zeros.flush()
+    assert len(bomb) < 10**6
+    tracemalloc.start()
+    with pytest.raises(RecordError, match="a frame holds more than 67,108,864 bytes"):
+        list(records.read(bomb, HERE))
+    (tmp_path / compression.FILE).write_bytes(bomb)
+    with pytest.raises(RunError, match=r"games\.jsonl\.zst is damaged: a frame holds more than"):
+        compression.check(tmp_path, torn=True)
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert most < 2**29
+
+
+@pytest.mark.parametrize(
+    ("changes", "record", "said"),
+    [
+        ({}, EpisodeRecord(31, b"", None), "no game begins after 31 idle frames"),
+        ({"difficulty": 9}, EpisodeRecord(1, b"", None), "boxing has no difficulty 9"),
+    ],
+)
+def test_a_game_that_cannot_be_set_up_is_refused(small, changes, record, said):
+    with pytest.raises(RecordError, match=said):
+        records.begin(small().model_copy(update=changes), record)
+    records.begin(small(), EpisodeRecord(30, b"", None))
+
+
+def test_the_other_runs_are_verified_after_one_whose_records_cannot_be_played(
+    run, tmp_path, command
+):
+    bad = tmp_path / "bad"
+    shutil.copytree(run, bad)
+    games = records.read_file(bad)
+    games[0] = (games[0][0], replace(games[0][1], idle_frames=10**9))
+    (bad / records.FILE).write_bytes(records.encode(games))
+    code, said, errors = command("verify", bad, run)
+    assert code == 1
+    assert said == f"{run}: 9 of 9 games played again, all as the tables say\n"
+    assert "error: no game begins after 1000000000 idle frames" in errors
+    assert "Traceback" not in errors
+    assert "\n2 of 9 games" in "\n" + command("verify", run, "--episodes", 2)[1].split(": ")[1]
 
 
 def test_evaluations_come_last_and_take_the_place_of_the_same_games():
@@ -445,7 +530,7 @@ def test_the_command_line_verifies_replays_and_makes_videos(run, tmp_path, comma
     assert video.read_bytes()[4:8] == b"ftyp"
     code, said, _ = command("verify", run, run)
     assert code == 0
-    assert said == f"{run}: 9 games played again, all as the tables say\n" * 2
+    assert said == f"{run}: 9 of 9 games played again, all as the tables say\n" * 2
     assert command("verify", run, "--all", "--episodes", 2)[0] == 2
     rewrite(run, "episodes.csv", lambda table: table.assign(score=table.score - (table.index == 1)))
     code, _, errors = command("verify", run)

@@ -11,6 +11,7 @@ from synthetic import (
     evaluate,
     facts,
     numbers,
+    record,
     store,
     study,
     style,
@@ -509,7 +510,7 @@ def test_a_change_of_style_is_told_with_the_games_after_which_half_of_it_is_done
     run = store(tmp_path, "boxing_final", DQN, np.zeros(2000))
     rise = np.repeat([1.0, 2.0], [8, 12]) + np.tile([-0.05, 0.05, 0, -0.05, 0.05], 4)
     flat = np.tile([4.0, 6.0], 10)
-    how = {"scored": 40.0 * rise, "reach": 0.5 * rise, "distance": 10 * flat}
+    how = {"scored": 40.0 * rise, "reach": 0.4 * rise, "distance": 10 * flat}
     how["punches"] = (20 * rise).round().astype(int)
     style(run, np.zeros(20), **how, conceded=2 * flat)
     section = study(tmp_path)["boxing_final"]
@@ -519,7 +520,7 @@ def test_a_change_of_style_is_told_with_the_games_after_which_half_of_it_is_done
     told = {measure: row["DQN"] for measure, row in rows.items()}
     assert told["punches thrown per minute"].startswith("10 → 20 (")
     assert told["punches thrown per minute"].endswith("; half after 900 games)")
-    assert told["time within reach (%)"].startswith("50 → 100 (")
+    assert told["time within reach (%)"].startswith("40 → 80 (")
     assert told["points scored per punch"] == "2 → 2 (+0 to +0; no clear change)"
     assert told["distance of the boxers (pixels)"].endswith("; no clear change)")
     low, high = numbers(told["points conceded per minute"])[2:]
@@ -542,7 +543,7 @@ def test_what_there_was_nothing_of_at_first_has_no_change(tmp_path, shown):
 
 
 def test_an_empty_place_gives_a_reason_where_no_badge_does(tmp_path, shown):
-    store(tmp_path, "boxing_final", DQN, np.zeros(3000))
+    store(tmp_path, "boxing_final", DQN, np.zeros(2999))
     stored = study(tmp_path)
     results.show_values(stored["boxing_final"])
     results.show_discounts([stored["boxing_final"]], DUELING, "fig-discounts")
@@ -588,42 +589,44 @@ def test_a_finished_agents_score_stands_beside_those_under_conditions_it_has_nev
         evaluate(run, score=80.0 - less)
         evaluate(run, add=True, score=60.0 - less, sticky_actions=0.25)
         evaluate(run, add=True, score=FAR, difficulty=1)
-        rows = [("sequence", 10.0 - less), ("mirrored", 30.0 - less), ("field", 35.0 - less)]
+        rows = [
+            *(("sequence", 29, 10.0 - less), ("mirrored", 100, 30.0 - less)),
+            *(("field", 100, 35.0 - less), ("scoreboard", 99, FAR)),  # a game less than there are
+        ]
         run.robustness.parent.mkdir(parents=True, exist_ok=True)
         table = {"length": 9, "trained_games": 3000}
         pd.DataFrame(
-            {"condition": name, "game": game, "score": mean + off, **table}
-            for name, mean in rows
-            for game, off in enumerate((-1, 0, 1))
+            {"condition": name, "game": game, "score": mean + game % 3 - 1, **table}
+            for name, games, mean in rows
+            for game in range(games)
         ).to_csv(run.robustness, index=False)
         games = [
             ({"kind": "training", "episode": number}, EpisodeRecord(moment, bytes(3), None))
             for number, moment in enumerate(idle, 1)
         ]
-        (run.folder / records.FILE).write_bytes(records.encode(games))
+        record(run, *games)
     results.show_robustness(study(tmp_path)["boxing_final"])
     table = shown.tables["tbl-boxing-final-robustness"]
     found = [(row["agent"], row["condition"], row["games"], row["mean score"]) for row in table]
     assert found == [
         ("DQN", "as trained", "40", "80.0"),
         ("DQN", "sticky actions, 0.25", "40", "60.0"),
-        ("DQN", "left and right exchanged", "3", "30.0"),
-        ("DQN", "the same below the scoreboard", "3", "35.0"),
-        ("DQN", "the best game's moves, blindly", "3", "10.0"),
+        ("DQN", "left and right exchanged", "100", "30.0"),
+        ("DQN", "the same below the scoreboard", "100", "35.0"),
+        ("DQN", "the best game's moves, blindly", "29", "10.0"),
         ("Double DQN", "as trained", "40", "30.0"),
         ("Double DQN", "sticky actions, 0.25", "40", "10.0"),
-        ("Double DQN", "left and right exchanged", "3", "-20.0"),
-        ("Double DQN", "the same below the scoreboard", "3", "-15.0"),
-        ("Double DQN", "the best game's moves, blindly", "3", "-40.0"),
+        ("Double DQN", "left and right exchanged", "100", "-20.0"),
+        ("Double DQN", "the same below the scoreboard", "100", "-15.0"),
+        ("Double DQN", "the best game's moves, blindly", "29", "-40.0"),
     ]
     for row in table:
         low, high = numbers(row["95% interval"])
         assert (low + high) / 2 == pytest.approx(float(row["mean score"]), abs=0.11)
         if row["games"] == "40":  # evenly spread over two points
             assert high - low == pytest.approx(2 * 1.96 * 2 / 12**0.5 / 40**0.5, abs=0.12)
-        if "blindly" in row["condition"]:  # three openings, one point apart
-            assert "range" in row["95% interval"]
-            assert high - low == 2
+        if "blindly" in row["condition"]:  # as many of each of three scores, one point apart
+            assert high - low == pytest.approx(2 * 1.96 * (2 / 3 / 29) ** 0.5, abs=0.12)
     said = ["DQN", 80, "Double DQN", 50]  # four of five begin alike, and two of four
     assert facts(shown.texts[-1]) == [500, 100, *said]
 
@@ -680,7 +683,7 @@ def test_endings_are_shown_for_each_milestone_with_the_games_that_they_are_of(tm
     assert not shown.tables
     run = store(tmp_path, "boxing_final", DQN, np.repeat([60.0, -30.0, 80.0], [400, 100, 500]))
     frames = np.repeat([3600, 7200, 1800], [400, 100, 500])  # of a game; 3,600 are a minute
-    table = pd.read_csv(run.folder / "episodes.csv").assign(frames=np.cumsum(frames))
+    table = pd.read_csv(run.folder / "episodes.csv").assign(frames=np.cumsum(frames), length=450)
     table.to_csv(run.folder / "episodes.csv", index=False)
     results.show_endings(study(tmp_path)["boxing_final"])
     rows = shown.tables["tbl-boxing-final-endings"]

@@ -8,7 +8,7 @@ from synthetic import evaluate, store
 
 from atari_dqn.envs import EpisodeRecord, make_env
 from atari_dqn.params import Parameters
-from atari_dqn.runs import models, recorder, records, robustness
+from atari_dqn.runs import models, recorder, records, robustness, tables
 from atari_dqn.runs.run import Run
 
 
@@ -58,6 +58,22 @@ def test_what_is_measured_is_measured_again_for_another_model_only(run, measured
     monkeypatch.setattr(models, "trained_games", lambda path: 4)
     robustness.measure(run)
     assert set(pd.read_csv(run.robustness).trained_games) == {4}
+
+
+@pytest.mark.parametrize("condition", ["sequence", "mirrored"])
+def test_a_condition_that_lacks_a_game_counts_as_not_played_and_is_played_again(
+    run, measured, condition
+):
+    lines = measured.to_csv(index=False).encode().splitlines(keepends=True)
+    cut = next(at for at, line in enumerate(lines) if line.startswith(condition.encode()))
+    for left in (lines[:cut] + lines[cut + 1 :], lines[:1]):
+        run.robustness.write_bytes(b"".join(left))
+        shown = tables.trials(run)
+        whole = {"sequence", "mirrored", "field", "scoreboard"} - {condition}
+        assert set(shown.condition if len(shown) else []) == (whole if len(left) > 1 else set())
+        robustness.measure(run)
+        assert sorted(run.robustness.read_bytes().splitlines(True)) == sorted(lines)
+    assert len(tables.trials(run)) == len(lines) - 1
 
 
 def test_a_run_under_way_is_not_measured(run, tmp_path):

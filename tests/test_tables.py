@@ -1,6 +1,7 @@
 """Damaged tables: they are named by file and line, and cost nothing but their own run."""
 
 import json
+import os
 import re
 import shutil
 from dataclasses import fields
@@ -16,7 +17,7 @@ from atari_dqn import evaluation, params
 from atari_dqn.params import Parameters
 from atari_dqn.report import build, catalogue, cost, notebook
 from atari_dqn.report.explorer import StoredAgents
-from atari_dqn.runs import compression, evaluations, plan, recorder, tables
+from atari_dqn.runs import compression, evaluations, plan, recorder, records, tables, weights
 from atari_dqn.runs.files import RunError
 from atari_dqn.runs.robustness import Trial
 from atari_dqn.runs.run import Run
@@ -46,7 +47,8 @@ def trained(tmp_path_factory):
 @pytest.fixture(params=["complete", "interrupted"])
 def run(request, trained, tmp_path, monkeypatch):
     """A copy of it, or of the same as if it had been stopped."""
-    monkeypatch.setattr(params, "VALUES_PERIOD", SHORT["VALUES_PERIOD"])
+    for name in ("VALUES_PERIOD", "VALUE_GAMES"):
+        monkeypatch.setattr(params, name, SHORT[name])
     copy = Run(trained.params, tmp_path)
     shutil.copytree(trained.folder, copy.folder)
     say(copy, state=request.param)
@@ -294,6 +296,7 @@ def test_stored_runs_are_those_that_can_be_read_and_the_others_are_named(two, sh
     assert line.startswith(said)
     notebook.show_damaged("full", good.results)
     assert f"- `results/runs/{bad.name}/episodes.csv, line 40: " in shown.texts[-1]
+    cut(good.folder / tables.EPISODES)
     with pytest.raises(RunError, match=f"no agent is stored in .*; left out: {said}"):
         StoredAgents("full", good.results)
 
@@ -321,7 +324,7 @@ def test_a_report_names_a_damaged_run_and_goes_on(two, monkeypatch):
     bad, good, said = two
     (good.folder / "provenance.json").write_text("{")
     path = bad.folder / "provenance.json"
-    path.write_text(path.read_text().replace('"commit"', '"started": "2026-02-03", "commit"'))
+    path.write_text(path.read_text().replace("2026-01", "2026-02"))
     monkeypatch.setattr(build, "_measure", lambda *_: None)
     monkeypatch.setattr(build, "_execute", sections)
     with (
@@ -420,6 +423,89 @@ def test_half_a_game_at_the_end_of_the_records_is_damage_in_a_complete_run_only(
     path.write_bytes(path.read_bytes() + frame[: len(frame) // 2])
     fault = f"{path} is damaged: the last game is cut short" if run.state() == "complete" else ""
     assert tables.damage(run) == fault
+
+
+@pytest.mark.parametrize("name", [*TABLES, "model.safetensors", compression.FILE])
+def test_a_file_that_a_run_lacks_is_named(run, name):
+    """In one that goes on, values, evaluations and the model may be still to come."""
+    (run.folder / name).unlink()
+    said = tables.damage(run)
+    if complete(run) or name in (tables.EPISODES, tables.TIMING, compression.FILE):
+        assert said.startswith(f"{run.folder / name} is missing, ")
+        assert len(said.splitlines()) == 1
+    else:
+        assert said == ""
+
+
+@pytest.mark.parametrize("kept", [0, 10])
+def test_records_of_fewer_games_than_the_tables_tell_of_are_named(run, kept):
+    path, games = run.folder / compression.FILE, records.read_file(run.folder)
+    assert len(games) == 5 + 2 + 4
+    path.write_bytes(records.encode(games[:kept]) if kept else b"")
+    assert tables.damage(run) == f"{path} holds {kept} games, and the tables tell of 11"
+    path.write_bytes(records.encode([*games, games[0]]))
+    assert tables.damage(run) == "", "a game whose row is about to be written"
+
+
+def test_the_model_of_a_complete_run_is_that_of_its_last_game(run):
+    path = run.folder / "model.safetensors"
+    path.write_bytes(weights.pack(weights.read(path), 4))
+    said = f"{path} is of 4 games, and status.json says 5"
+    assert tables.damage(run) == (said if complete(run) else "")
+
+
+# What is written into the second row of a table, by column
+IMPOSSIBLE = [
+    *((tables.EPISODES, "frames", value) for value in ("-1", "0", "1")),
+    *((tables.EPISODES, "length", value) for value in ("0", "-5", "9999")),
+    *((tables.EPISODES, "epsilon", value) for value in ("1.5", "-0.1", "2e-1x")),
+    *((tables.EPISODES, "score", value) for value in ("inf", "nan", "1e400")),
+    *((tables.EPISODES, "agent_steps", value) for value in ("1", "-3")),
+    *((tables.TIMING, name, "0") for name in ("seconds", "cpu_seconds")),
+    *((tables.EVALUATIONS, name, "-1") for name in ("length", "frames", "epsilon", "seed")),
+    (tables.EVALUATIONS, "length", "0"),
+]
+
+
+@pytest.mark.parametrize(("name", "column", "value"), IMPOSSIBLE)
+def test_a_number_that_no_game_can_have_is_named_by_its_line(run, name, column, value):
+    path = run.folder / name
+    head, one, two, *rest = path.read_text().splitlines()
+    fields = two.split(",")
+    fields[head.split(",").index(column)] = value
+    path.write_text("\n".join([head, one, ",".join(fields), *rest, ""]))
+    above = "frames" if column == "length" and value == "9999" else column
+    assert tables.damage(run).startswith(f"{path}, line 3: {above}")
+
+
+def test_parameters_of_another_agent_are_named(run):
+    path = run.folder / params.STORED
+    path.write_text(path.read_text().replace('["double_dqn"]', '["dqn"]', 1))
+    said = f"{path}: agents: ['dqn'] should be ['double_dqn'], as its folder says"
+    assert tables.damage(run) == said
+
+
+@pytest.mark.parametrize("make", [Path.mkdir, os.mkfifo])
+@pytest.mark.parametrize(
+    "name", ["status.json", "provenance.json", *TABLES, "model.safetensors", compression.FILE]
+)
+def test_a_folder_or_a_pipe_in_the_place_of_a_file_is_named_at_once(run, name, make):
+    path = run.folder / name
+    path.unlink()
+    make(path)
+    assert tables.damage(run) == f"{path}: must be a regular file"
+    build._snapshot(run.results)
+
+
+def test_a_check_of_styles_that_lacks_a_game_is_not_shown(tmp_path):
+    run = store(tmp_path, "boxing_final", DQN, np.ones(300))
+    path = styled(run)
+    assert set(study(tmp_path)["boxing_final"].styles.episode) == {100, 200, 300}
+    lines = path.read_text().splitlines(keepends=True)
+    path.write_text("".join([*lines[:6], *lines[7:]]))
+    assert set(study(tmp_path)["boxing_final"].styles.episode) == {100, 300}
+    path.write_text(lines[0])
+    assert study(tmp_path)["boxing_final"].styles.empty
 
 
 def test_a_table_that_is_changed_by_who_has_read_it_is_whole_for_the_next(run):

@@ -2,14 +2,15 @@
 is what was meant."""
 
 import ast
+import json
 import re
 from pathlib import Path
 
 import pytest
-from synthetic import store
+from synthetic import SESSION, store
 
 from atari_dqn.analysis import study
-from atari_dqn.runs import audit, plan
+from atari_dqn.runs import audit, plan, tables
 from atari_dqn.runs.files import RunError
 
 ROOT = Path(__file__).parents[1]
@@ -96,6 +97,27 @@ def test_a_package_without_its_hash_is_found(entry):
     assert without_hashes(f"a==1 \\\n    --hash=sha256:{'0' * 64}\n{entry}\n") == [entry]
 
 
+def provenance(**changes):
+    return json.dumps(
+        {"training_version": 3, "identity": "0", "agent_steps": 1, "resumes": 0} | changes
+    )
+
+
+PROVENANCES = [
+    *(provenance(sessions=sessions) for sessions in ([], [1], [{}], {}, None)),
+    *(
+        provenance(sessions=[SESSION | changes])
+        for changes in (
+            *({"started": when} for when in ("yesterday", "2026-01-02T03:04:05", 5)),
+            *({name: None} for name in ("commit", "processor", "device", "versions")),
+            *({"versions": {}}, {"restored_after": "x"}, {"restored_after": -1}),
+            *({"peak_memory_megabytes": number} for number in (float("nan"), float("inf"))),
+        )
+    ),
+    *(provenance(sessions=[SESSION], **{name: "x"}) for name in ("agent_steps", "resumes")),
+]
+
+
 @pytest.mark.parametrize(
     ("name", "content"),
     [
@@ -105,6 +127,8 @@ def test_a_package_without_its_hash_is_found(entry):
         ("status.json", "[" * 100_000),
         ("provenance.json", '{"training_version": 1}'),
         ("provenance.json", "\xff"),
+        ("status.json", '{"state": "complete", "episodes_done": -1}'),
+        *(("provenance.json", text) for text in PROVENANCES),
     ],
 )
 def test_what_is_no_status_or_provenance_is_named_as_damage(tmp_path, name, content):
@@ -114,6 +138,8 @@ def test_what_is_no_status_or_provenance_is_named_as_damage(tmp_path, name, cont
     with pytest.raises(RunError, match=rf"{name} is missing or damaged \(") as error:
         run.state()
     assert "<script>" not in str(error.value).replace("'<script>'", "")
+    assert len(str(error.value).splitlines()) == 1
+    assert tables.damage(run) == str(error.value)
 
 
 def test_what_a_run_says_of_itself_is_text_in_a_table(tmp_path):

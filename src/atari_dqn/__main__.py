@@ -326,7 +326,8 @@ def verify(
         except (ParameterError, RunError, OSError) as error:
             failures.append(_tell(error))
         else:
-            games = f"{count} game{'s' * (count != 1)}"
+            some = "" if everything else f" of {audit.choice(run_dir):,}"
+            games = f"{count:,}{some} game{'s' * (count != 1 or bool(some))}"
             print(f"{run_dir}: {games} played again, all as the tables say")
     if failures:
         raise typer.Exit(min(failures))

@@ -2,6 +2,7 @@
 
 import copy
 import re
+from collections.abc import Callable
 from functools import cache, cached_property
 from typing import Any
 
@@ -209,7 +210,7 @@ class Section:
         itself has."""
         if self.params.game not in tables.STYLES:
             return pd.DataFrame()
-        table = self._beside("styles", tables.STYLES[self.params.game])
+        table = self._beside(tables.style)
         if table.empty:
             return table
         if self.params.game == "boxing":
@@ -243,16 +244,12 @@ class Section:
     def robustness(self) -> pd.DataFrame:
         """A row per game of finished agents under conditions that they have never met:
         `runs.robustness.Trial`, agent, seed."""
-        return self._beside("robustness", tables.ROBUSTNESS)
+        return self._beside(tables.trials)
 
-    def _beside(self, kind: str, name: str) -> pd.DataFrame:
-        """One table of what stands in the runs' files of a kind beside their folders."""
-        files = [(run, getattr(run, kind)) for run in self.usable]
-        found = [
-            tables.read_file(path, name).assign(agent=run.agent, seed=run.seed)
-            for run, path in files
-            if path.exists()
-        ]
+    def _beside(self, read: Callable[[Run], pd.DataFrame]) -> pd.DataFrame:
+        """One table of what is read in the runs' files of a kind beside their folders."""
+        each = [(run, read(run)) for run in self.usable]
+        found = [table.assign(agent=run.agent, seed=run.seed) for run, table in each if len(table)]
         return pd.concat(found, ignore_index=True) if found else pd.DataFrame()
 
     @property

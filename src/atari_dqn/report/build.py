@@ -119,7 +119,9 @@ def _snapshot(folder: Path) -> Path:
     shutil.rmtree(snapshot, ignore_errors=True)
 
     def copy(source: str, target: str) -> None:
-        if not source.endswith(".csv"):  # which may be appended to; others are replaced, if ever
+        # A table may be appended to; others are replaced, if ever, and what is no file, such as a
+        # pipe, is not to be read
+        if not source.endswith(".csv") or not os.path.isfile(source):
             with suppress(OSError):  # no links between these folders
                 os.link(source, target)
                 return

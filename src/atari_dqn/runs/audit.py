@@ -76,6 +76,12 @@ def verify(folder: Path, games: int | None) -> Iterator[str]:
         yield name
 
 
+def choice(folder: Path) -> int:
+    """How many games `verify` chooses from: those of training and evaluation that are in tables.
+    Raises RunError if these are damaged."""
+    return len(tables.read(folder, tables.EPISODES)) + len(tables.read(folder, tables.EVALUATIONS))
+
+
 def outcome(parameters: Parameters, record: EpisodeRecord) -> Facts:
     """What a recorded game comes to when it is played again."""
     distances: list[float] = []
@@ -142,8 +148,6 @@ def _stored(folder: Path) -> Stored:
         games = records.read_file(folder, torn=not complete)
     if provenance["identity"] != parameters.identity():
         raise Difference(f"{folder / params.STORED} is not what provenance.json says of the run")
-    if complete and not found[EVALUATION]:
-        raise Difference(f"{folder / tables.EVALUATIONS} is missing, and a complete run has one")
     total = 0.0
     for row in found[TRAINING]:  # whose frames are those of all games so far
         total, row["frames"] = row["frames"], row["frames"] - total

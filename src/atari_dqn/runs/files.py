@@ -1,4 +1,5 @@
-"""Where results are, and writing a file there: readers see the old one or the new one."""
+"""Where results are, reading a file there, and writing one: readers see the old one or the new
+one."""
 
 import os
 from collections.abc import Callable
@@ -58,6 +59,19 @@ def evaluations_lock(folder: Path) -> AbstractContextManager:
     if not os.access(folder, os.W_OK):
         return nullcontext()
     return FileLock(folder / ".evaluations.lock")
+
+
+def check_regular(path: Path) -> None:
+    """Raises RunError if something other than a file stands in a file's place: a folder, or a pipe,
+    which may never say a word."""
+    if path.exists() and not path.is_file():
+        raise RunError(f"{path}: must be a regular file")
+
+
+def read_bytes(path: Path) -> bytes:
+    """What a file holds. Raises RunError if it is none, OSError if it cannot be read."""
+    check_regular(path)
+    return path.read_bytes()
 
 
 def write_atomically(path: Path, data: bytes | Callable[[BinaryIO], None]) -> None:

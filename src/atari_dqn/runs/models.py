@@ -8,7 +8,7 @@ from torch import nn
 
 from atari_dqn.agents import AGENTS, torch_device
 from atari_dqn.envs import make_env
-from atari_dqn.params import Parameters, stored_parameters
+from atari_dqn.params import Parameters, shown, stored_parameters
 from atari_dqn.runs import weights
 from atari_dqn.runs.files import RunError, model_file
 from atari_dqn.runs.run import COMPLETE, Run
@@ -33,10 +33,16 @@ def read_model(path: Path) -> dict[str, torch.Tensor]:
 
 
 def load_model(path: Path, parameters: Parameters) -> nn.Module:
-    """The network of `parameters`' first agent with the weights in `path`."""
+    """The network of `parameters`' first agent with the weights in `path`. Raises RunError if they
+    cannot be read, or are another network's."""
     actions = len(make_env(parameters).actions)
     network = AGENTS[parameters.agents[0]].network(parameters.frame_stack, actions)
-    network.load_state_dict(read_model(path))
+    weights = read_model(path)
+    try:
+        network.load_state_dict(weights)
+    except RuntimeError as error:
+        said = " ".join(str(error).split())
+        raise RunError(f"{path} cannot be read: {shown(said)}") from None
     return network.requires_grad_(False).to(torch_device(parameters.device))
 
 
@@ -72,9 +78,4 @@ def stored_agent(folder: Path, overrides: dict[str, Any]) -> tuple[nn.Module, Pa
     ParameterError on bad input."""
     path = model_file(folder)
     parameters = stored_parameters(folder, overrides)
-    try:
-        return load_model(path, parameters), parameters
-    except RunError:
-        raise
-    except RuntimeError as error:  # of PyTorch: weights of another network
-        raise RunError(f"{path} cannot be read: {str(error).splitlines()[0]}") from None
+    return load_model(path, parameters), parameters

@@ -30,7 +30,7 @@ from atari_dqn.native import NativeLearner, new_learner
 from atari_dqn.params import TRAINING_VERSION
 from atari_dqn.runs import checkpoints, records
 from atari_dqn.runs.evaluations import store_evaluation
-from atari_dqn.runs.files import RunError, evaluations_lock, write_atomically
+from atari_dqn.runs.files import RunError, evaluations_lock, read_bytes, write_atomically
 from atari_dqn.runs.models import initial_weights, load_model, model_bytes
 from atari_dqn.runs.run import (
     COMPLETE,
@@ -205,7 +205,7 @@ class Recorder:
     def _refuse_to_overwrite(self) -> None:
         """Raises RunError if games are stored that cannot be continued."""
         path = self.run.folder / "episodes.csv"
-        games = path.read_bytes().count(b"\n") - 1 if path.exists() else 0
+        games = read_bytes(path).count(b"\n") - 1 if path.exists() else 0
         if games > 0:
             raise RunError(
                 f"{self.run.folder} holds {games} games, but their checkpoint is not in "

@@ -24,9 +24,9 @@ from typing import Any
 import numpy as np
 
 from atari_dqn.envs import AtariEnv, EpisodeRecord, make_env
-from atari_dqn.params import Parameters
+from atari_dqn.params import MOST, Parameters, printable, shown
 from atari_dqn.runs import compression
-from atari_dqn.runs.files import RunError
+from atari_dqn.runs.files import RunError, read_bytes
 
 FILE = compression.FILE
 TRAINING, VALUES, EVALUATION = "training", "values", "evaluation"
@@ -65,12 +65,22 @@ def _game_record(values: dict[str, Any]) -> EpisodeRecord:
         state, inc, has_uint32, uinteger = values["rng"]
         rng = {
             "bit_generator": "PCG64",
-            "state": {"state": int(state, 16), "inc": int(inc, 16)},
-            "has_uint32": has_uint32,
-            "uinteger": uinteger,
+            "state": {
+                "state": _whole("rng", int(state, 16), 2**128 - 1),
+                "inc": _whole("rng", int(inc, 16), 2**128 - 1),
+            },
+            "has_uint32": _whole("rng", has_uint32, 1),
+            "uinteger": _whole("rng", uinteger, 2**32 - 1),
         }
     actions = bytes(ord(letter) - ord("A") for letter in values["actions"])
-    return EpisodeRecord(values["idle_frames"], actions, rng)
+    return EpisodeRecord(_whole("idle_frames", values["idle_frames"], MOST), actions, rng)
+
+
+def _whole(key: str, value: Any, most: int) -> int:
+    """The value, if it is a whole number from 0 to `most`; raises ValueError if it is not."""
+    if type(value) is not int or not 0 <= value <= most:
+        raise ValueError(f"{key}: {shown(value)} should be a whole number from 0 to {most}")
+    return value
 
 
 # What each kind of heading holds besides
@@ -79,6 +89,9 @@ KEYS = {
     VALUES: ("episode", "game"),
     EVALUATION: ("trained_games", "difficulty", "sticky_actions", "epsilon", "seed", "game"),
 }
+
+
+CHANCES = ("sticky_actions", "epsilon")  # those of them that are probabilities
 
 
 def read(data: bytes, source: Path) -> Iterator[Game]:
@@ -96,10 +109,26 @@ def read(data: bytes, source: Path) -> Iterator[Game]:
                     heading.pop(key, None)
                 if heading.keys() != {"kind", *KEYS[heading["kind"]]}:
                     raise ValueError(f"no kind of game has the keys {', '.join(heading)}")
+                for key in KEYS[heading["kind"]]:
+                    _check_number(key, heading[key])
                 yield heading, record
                 games += 1
-    except (compression.ZstdError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise RecordError(f"{source} is damaged after {games} games: {error}") from None
+    except WRONG as error:
+        said = printable(str(error))
+        raise RecordError(f"{source} is damaged after {games} games: {said}") from None
+
+
+# What is raised where a line is none of a game's
+WRONG = (*(compression.ZstdError, ValueError, KeyError, TypeError, AttributeError, RecursionError),)
+
+
+def _check_number(key: str, value: Any) -> None:
+    """Raises ValueError unless a heading may have this value: else no game could be set up by it,
+    or found."""
+    if key not in CHANCES:
+        _whole(key, value, MOST)
+    elif type(value) not in (int, float) or not 0 <= value <= 1:
+        raise ValueError(f"{key}: {shown(value)} should be a number from 0 to 1")
 
 
 def with_evaluations(games: list[Game], new: list[Game]) -> bytes:
@@ -123,7 +152,7 @@ def read_file(folder: Path, torn: bool = False) -> list[Game]:
     """
     path, games = folder / FILE, []
     try:
-        for game in read(path.read_bytes(), path):
+        for game in read(read_bytes(path), path):
             games.append(game)
     except OSError as error:
         raise RecordError(f"{path}: {error.strerror}") from None
@@ -160,10 +189,15 @@ def as_trained(params: Parameters, games: list[Game]) -> list[Game]:
 def begin(params: Parameters, record: EpisodeRecord) -> tuple[AtariEnv, np.ndarray]:
     """The game before its first action, and its first image, uint8 [84, 84].
 
-    Raises RecordError if the cartridge has no such action, or if actions are sticky and the record
-    does not say when.
+    Raises RecordError if the cartridge has no such action or difficulty, if a game never begins as
+    late, or if actions are sticky and the record does not say when.
     """
-    game = make_env(params)
+    if record.idle_frames > params.noop_max:
+        raise RecordError(f"no game begins after {record.idle_frames} idle frames")
+    try:
+        game = make_env(params)
+    except ValueError as error:
+        raise RecordError(str(error)) from None
     if record.actions and max(record.actions) >= len(game.actions):
         raise RecordError(f"{params.game} has no action {max(record.actions)}")
     if (record.rng is None) != (params.sticky_actions == 0):

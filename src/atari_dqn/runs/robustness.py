@@ -46,15 +46,16 @@ class Trial:
 
 
 def measure(run: Run) -> None:
-    """Plays a complete run's model under each condition that the run's file does not have yet for
-    this model. Raises RunError or RecordError if model or records cannot be read."""
+    """Plays a complete run's model under each condition that the run's file does not have yet, or
+    not all games of, for this model. Raises RunError or RecordError if model or records cannot be
+    read."""
     if run.state() != COMPLETE:
         return
     from atari_dqn.runs import models  # here: the report's tables are read without PyTorch
 
     model = run.folder / "model.safetensors"
     trained = models.trained_games(model)
-    stored = tables.read_file(run.robustness, tables.ROBUSTNESS)
+    stored = tables.trials(run)
     columns = [field.name for field in fields(Trial)]
     table = (
         stored[stored.trained_games == trained] if len(stored) else pd.DataFrame(columns=columns)

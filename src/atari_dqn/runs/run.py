@@ -26,6 +26,7 @@ import os
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -34,7 +35,7 @@ from filelock import FileLock, Timeout
 from atari_dqn import params
 from atari_dqn.params import TRAINING_VERSION, ParameterError, Parameters, shown, stored_parameters
 from atari_dqn.runs import checkpoints
-from atari_dqn.runs.files import RunError
+from atari_dqn.runs.files import RunError, read_bytes
 
 if TYPE_CHECKING:  # it takes half a second to import
     import pandas as pd
@@ -44,8 +45,17 @@ MISSING, STALE = "missing", "stale"
 # What everybody reads of these files
 SAYS: dict[str, dict[str, type]] = {
     "status.json": {"state": str, "episodes_done": int},
-    "provenance.json": {"training_version": int, "identity": str, "sessions": list},
+    "provenance.json": {
+        **{"training_version": int, "identity": str, "agent_steps": int, "resumes": int},
+        "sessions": list,
+    },
 }
+# And of each of the sessions
+SESSION: dict[str, type] = {
+    **{"started": str, "commit": str, "processor": str, "device": str, "versions": dict},
+}
+MOST_SAID = 10**15  # no run counts as far
+MAY_SAY: dict[str, type] = {"peak_memory_megabytes": float, "restored_after": int}
 RESTART = "--restart (make: RESTART=1) begins again, and keeps what is stored in a folder beside"
 
 
@@ -165,7 +175,7 @@ class Run:
             changes += different or ["identity"]
         source, began_with = self.source(), provenance["sessions"][0].get("initial_weights")
         if source is not None and began_with and source.state() == COMPLETE:
-            model = (source.folder / "model.safetensors").read_bytes()
+            model = read_bytes(source.folder / "model.safetensors")
             if hashlib.sha256(model).hexdigest() != began_with:
                 changes.append(f"{source.name} has another model now")
         return changes
@@ -219,20 +229,43 @@ def stored_json(folder: Path, name: str) -> dict[str, Any]:
     missing, or does not say what every such file says."""
     path = folder / name
     try:
-        values = json.loads(path.read_bytes())
-        if not isinstance(values, dict):
-            raise ValueError(f"{shown(values)} is no mapping")
-        for key, kind in SAYS[name].items():
-            if not isinstance(values.get(key), kind):
-                raise ValueError(f"{key}: {shown(values.get(key))} should be a {kind.__name__}")
+        values = json.loads(read_bytes(path))
+        _check_says(values, SAYS[name])
         if values.get("state", COMPLETE) not in (COMPLETE, RUNNING, INTERRUPTED, FAILED):
             raise ValueError(f"state: {shown(values['state'])} is none that a run can be in")
+        if name == "provenance.json":
+            _check_sessions(values["sessions"])
     except (OSError, ValueError, RecursionError) as error:
         raise RunError(
             f"{path} is missing or damaged ({error}); restore it, or move {folder} away: "
             "a run that has a checkpoint comes back whole"
         ) from None
     return values
+
+
+def _check_sessions(sessions: list[Any]) -> None:
+    """Raises ValueError unless a run's sessions say what everybody reads of them."""
+    if not sessions:
+        raise ValueError("sessions: there is none, and every run begins with one")
+    for session in sessions:
+        _check_says(session, SESSION)
+        _check_says(session, {key: kind for key, kind in MAY_SAY.items() if key in session})
+        _check_says(session["versions"], {"ale-py": str})
+        if datetime.fromisoformat(session["started"]).tzinfo is None:
+            raise ValueError(f"started: {shown(session['started'])} should say its time zone")
+
+
+def _check_says(values: Any, kinds: dict[str, type]) -> None:
+    """Raises ValueError unless `values` has these keys, with values of these kinds; no number that
+    a run stores is negative or infinite."""
+    if not isinstance(values, dict):
+        raise ValueError(f"{shown(values)} is no mapping")
+    for key, kind in kinds.items():
+        value = values.get(key)
+        if type(value) is not kind:
+            raise ValueError(f"{key}: {shown(value)} should be a {kind.__name__}")
+        if kind in (int, float) and not 0 <= values[key] <= MOST_SAID:
+            raise ValueError(f"{key}: {shown(value)} should be from 0 to {MOST_SAID}")
 
 
 def _contents(folder: Path) -> list[Path]:

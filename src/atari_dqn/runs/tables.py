@@ -16,9 +16,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from atari_dqn import params
+from atari_dqn.games import GAMES
 from atari_dqn.params import ParameterError, shown
 from atari_dqn.runs import compression, weights
-from atari_dqn.runs.files import RunError
+from atari_dqn.runs.files import RunError, read_bytes
 from atari_dqn.runs.run import COMPLETE, MISSING, Run, stored_json
 
 if TYPE_CHECKING:  # it takes half a second to import
@@ -33,81 +34,88 @@ GROWING = (EPISODES, TIMING, VALUES)  # line by line, while a run trains; the ot
 
 # The kinds of fields; more digits than these are damage, and no number here is infinite
 WHOLE = "-?[0-9]{1,15}"
+COUNT = "[0-9]{1,15}"
+SOME = "[1-9][0-9]{0,14}"
 NUMBER = rf"{WHOLE}(?:\.[0-9]+)?(?:e[+-]?[0-9]{{1,2}})?"
 OR_NAN = rf"(?:{NUMBER}|nan)?"  # pandas writes nothing for nan
+SHARE = r"(?:0(?:\.[0-9]+)?|1(?:\.0+)?|[0-9](?:\.[0-9]+)?e-[0-9]{2})"
 TRUTH = "(?:True|False)"
 DIGEST = "[0-9a-f]+"
 CONDITION = "(?:sequence|mirrored|field|scoreboard)"
 SAID = {
     WHOLE: "a whole number",
+    COUNT: "a whole number from 0 on",
+    SOME: "a whole number from 1 on",
     NUMBER: "a number",
     OR_NAN: "a number or nan",
+    SHARE: "a number from 0 to 1",
     TRUTH: "True or False",
     DIGEST: "a hexadecimal number",
     CONDITION: "sequence, mirrored, field or scoreboard",
 }
-STYLE = {"episode": WHOLE, "game": WHOLE, "digest": DIGEST, "frames": WHOLE, "score": NUMBER}
+STYLE = {"episode": SOME, "game": COUNT, "digest": DIGEST, "frames": SOME, "score": NUMBER}
 COLUMNS: dict[str, dict[str, str]] = {
     EPISODES: {
-        "episode": WHOLE,
-        "agent_steps": WHOLE,
-        "frames": WHOLE,
+        "episode": SOME,
+        "agent_steps": SOME,
+        "frames": SOME,
         "score": NUMBER,
-        "length": WHOLE,
-        "epsilon": NUMBER,
+        "length": SOME,
+        "epsilon": SHARE,
         "loss": OR_NAN,
         "mean_q": OR_NAN,
     },
-    TIMING: {"episode": WHOLE, "seconds": NUMBER, "cpu_seconds": NUMBER},
+    TIMING: {"episode": SOME, "seconds": NUMBER, "cpu_seconds": NUMBER},
     VALUES: {
-        "episode": WHOLE,
+        "episode": SOME,
         **dict.fromkeys(("held_out_q", "predicted", "realised", "score"), NUMBER),
     },
     EVALUATIONS: {
-        "game": WHOLE,
+        "game": COUNT,
         "score": NUMBER,
-        "length": WHOLE,
-        "frames": WHOLE,
+        "length": SOME,
+        "frames": SOME,
         "won": TRUTH,
         "knockout": WHOLE,
-        "difficulty": WHOLE,
-        "sticky_actions": NUMBER,
-        "epsilon": NUMBER,
-        "seed": WHOLE,
+        "difficulty": COUNT,
+        "sticky_actions": SHARE,
+        "epsilon": SHARE,
+        "seed": COUNT,
         "scored": NUMBER,
         "conceded": NUMBER,
         "distance": OR_NAN,
-        "trained_games": WHOLE,
+        "trained_games": COUNT,
     },
     STYLES["boxing"]: {
         **STYLE,
         "scored": NUMBER,
         "conceded": NUMBER,
-        "punches": WHOLE,
-        "reach": NUMBER,
+        "punches": COUNT,
+        "reach": SHARE,
         "distance": NUMBER,
-        "blows": WHOLE,
-        "doubles": WHOLE,
-        "ropes": NUMBER,
-        "rival_ropes": NUMBER,
+        "blows": COUNT,
+        "doubles": COUNT,
+        "ropes": SHARE,
+        "rival_ropes": SHARE,
     },
     STYLES["breakout"]: {
         **STYLE,
-        **{f"returned_{speed}": WHOLE for speed in SPEEDS},
-        **{f"lost_{speed}": WHOLE for speed in SPEEDS},
-        **{f"lost_{third}": WHOLE for third in THIRDS},
-        "tunnel": WHOLE,
+        **{f"returned_{speed}": COUNT for speed in SPEEDS},
+        **{f"lost_{speed}": COUNT for speed in SPEEDS},
+        **{f"lost_{third}": COUNT for third in THIRDS},
+        "tunnel": COUNT,
         "above": NUMBER,
     },
     ROBUSTNESS: {
         "condition": CONDITION,
-        "game": WHOLE,
+        "game": COUNT,
         "score": NUMBER,
-        "length": WHOLE,
-        "trained_games": WHOLE,
+        "length": SOME,
+        "trained_games": COUNT,
     },
 }
 LINES = {name: re.compile(",".join(columns.values())) for name, columns in COLUMNS.items()}
+ADDED_UP = {"agent_steps", "frames", "seconds", "cpu_seconds"}  # over all games so far
 # What evaluations are sorted by; under the same settings the games are 0, 1, 2, ...
 SETTINGS = ("trained_games", "difficulty", "sticky_actions", "epsilon", "seed")
 # What tells apart the rows of the tables that are in no particular order
@@ -140,7 +148,7 @@ def read_file(path: Path, name: str, torn: bool = False) -> "pd.DataFrame":
 def _read_file(path: Path, name: str, torn: bool, version: tuple[int, ...]) -> "pd.DataFrame":
     import pandas as pd
 
-    *lines, rest = path.read_bytes().decode("utf-8", "backslashreplace").split("\n")
+    *lines, rest = read_bytes(path).decode("utf-8", "backslashreplace").split("\n")
     header = ",".join(COLUMNS[name])
     if not lines or lines[0] != header:
         found = shown((lines or [rest])[0])
@@ -182,6 +190,12 @@ def _disorder(table: "pd.DataFrame", name: str) -> tuple[int, str] | None:
     for row, episode in enumerate(table.episode):
         if episode != step * (row + 1):
             return row, f"episode {episode} should be {step * (row + 1)}"
+    for column in ADDED_UP & {*table}:
+        least = table.length if column == "frames" else 0  # a step lasts a frame or more
+        behind = (table[column].diff().fillna(table[column]) < least).to_numpy()
+        if behind.any():
+            row = int(behind.argmax())
+            return row, f"{column} {table[column][row]} is too few after the row above"
     return None
 
 
@@ -225,14 +239,39 @@ def of_runs(runs: list[Run], name: str) -> "pd.DataFrame":
     return pd.concat(tables, ignore_index=True) if tables else pd.DataFrame()
 
 
+def trials(run: Run) -> "pd.DataFrame":
+    """What stands in a run's file of robustness of those conditions that have all their games; one
+    that lacks some is as if it had never been played. Raises RunError as `read`."""
+    table, facts = read_file(run.robustness, ROBUSTNESS), GAMES[run.params.game]
+    if table.empty:
+        return table
+    openings = {facts.opening(idle) for idle in range(1, run.params.noop_max + 1)}
+    blind = len(openings) - 1  # all but that of the game whose moves are made
+    wanted = table.condition.eq("sequence").map({True: blind, False: run.params.evaluation_games})
+    there = table.groupby(["trained_games", "condition"]).game.transform("size")
+    return table[there >= wanted]
+
+
+def style(run: Run) -> "pd.DataFrame":
+    """What stands in a run's file of styles of those checks that have as many games as any,
+    likewise."""
+    table = read_file(run.styles, STYLES[run.params.game])
+    if table.empty:
+        return table
+    games = table.groupby("episode").game.transform("size")
+    return table[games == games.max()]
+
+
 def damage(run: Run) -> str:
     """What keeps a stored run from being read, in one line; nothing if it can be."""
     try:
         if run.state() != MISSING and (run.folder / "status.json").exists():  # or it just begins
+            _check_whose(run)
             check(run.folder)
-            compression.check(run.folder, torn=not _complete(run.folder))
+            _check_records(run.folder)
             for path in weights.files(run.folder):
                 _check_weights(path, path.stat().st_mtime_ns)
+            _check_model(run.folder)
             _check_beside(run.robustness, ROBUSTNESS)
             if run.params.game in STYLES:
                 _check_beside(run.styles, STYLES[run.params.game])
@@ -241,6 +280,37 @@ def damage(run: Run) -> str:
     except OSError as error:
         return f"{error.filename}: {error.strerror}"
     return ""
+
+
+def _check_whose(run: Run) -> None:
+    stored = params.stored_parameters(run.folder)
+    for name, own in (("agents", run.agent), ("seeds", run.seed)):
+        if (said := getattr(stored, name)) != [own]:
+            path = run.folder / params.STORED
+            raise RunError(f"{path}: {name}: {shown(said)} should be {[own]!r}, as its folder says")
+
+
+def _check_records(folder: Path) -> None:
+    """Raises RunError if the records are damaged, or fewer than the games that the tables, which
+    are written after them, tell of."""
+    checks = params.VALUE_GAMES * len(read(folder, VALUES))
+    told = len(read(folder, EPISODES)) + checks + len(read(folder, EVALUATIONS))
+    games = compression.check(folder, torn=not _complete(folder))
+    if games < told:
+        path = folder / compression.FILE
+        said = f"holds {games:,} games" if path.exists() else "is missing"
+        raise RunError(f"{path} {said}, and the tables tell of {told:,}")
+
+
+def _check_model(folder: Path) -> None:
+    """Raises RunError if a complete run has not the model of its last game."""
+    status, path = stored_json(folder, "status.json"), folder / "model.safetensors"
+    if status["state"] != COMPLETE:
+        return
+    if not path.exists():
+        raise RunError(f"{path} is missing, and a complete run has one")
+    if (games := weights.games_of(path)) != (done := status["episodes_done"]):
+        raise RunError(f"{path} is of {games:,} games, and status.json says {done:,}")
 
 
 @cache
@@ -272,6 +342,9 @@ def _check(folder: Path) -> None:
     complete, done = status["state"] == COMPLETE, status["episodes_done"]
     # In the opposite order of writing: what the former tables tell of, the last one must have
     order = (EVALUATIONS, VALUES, TIMING, EPISODES)
+    for name in (EPISODES, TIMING):
+        if not (folder / name).exists():
+            raise RunError(f"{folder / name} is missing, and every run has one")
     evaluations, values, timing, episodes = (read(folder, name) for name in order)
     games, period = len(episodes), params.VALUES_PERIOD
     if complete:
@@ -283,22 +356,23 @@ def _check(folder: Path) -> None:
             _count(folder / EPISODES, games, least, games, f"{name} tells of game {least}")
     late = 0 if complete else 1  # a row that is about to be written
     for name, table, most in ((TIMING, timing, games), (VALUES, values, games // period)):
-        if (folder / name).exists():
+        if complete or (folder / name).exists():
             said = f"{EPISODES} has {games} games"
             _count(folder / name, len(table), most - late, most, said)
 
 
 def _count(path: Path, rows: int, least: int, most: int, why: str) -> None:
     if rows < least:
-        raise RunError(f"{path}, line {rows + 2}: missing, since {why}")
+        where = f"{path}, line {rows + 2}: missing" if path.exists() else f"{path} is missing"
+        raise RunError(f"{where}, since {why}")
     if rows > most:
         raise RunError(f"{path}, line {most + 2}: one too many, since {why}")
 
 
 def _check_evaluations(folder: Path, evaluations: "pd.DataFrame", games: int) -> None:
-    """Raises RunError unless all games that end a run are in the table, if there is one."""
+    """Raises RunError unless all games that end a run are in the table."""
     if not (folder / EVALUATIONS).exists():
-        return
+        raise RunError(f"{folder / EVALUATIONS} is missing, and a complete run has one")
     keys = _settings(evaluations)
     for setting in params.conditions(params.stored_parameters(folder)):
         stickiness, epsilon = setting.sticky_actions, setting.evaluation_epsilon

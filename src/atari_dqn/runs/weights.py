@@ -9,7 +9,8 @@ import numpy as np
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
-from atari_dqn.runs.files import RunError
+from atari_dqn.params import MOST, shown
+from atari_dqn.runs.files import RunError, check_regular
 
 Arrays = dict[str, np.ndarray]
 
@@ -50,12 +51,17 @@ def _digest(half: Arrays, games: int) -> str:
 
 def _open(path: Path, whole: bool = False) -> tuple[int, str, Arrays]:
     """The games of training, the checksum and, if they are asked for, the arrays."""
+    check_regular(path)
     try:
         with safe_open(path, "np") as file:
             about = json.loads((file.metadata() or {})["about"])
-            half = {name: file.get_tensor(name) for name in file.keys()} if whole else {}  # noqa: SIM118
-            return int(about["games"]), about["sha256"], half
+            games, half = about["games"], {}
+            if type(games) is not int or not 0 <= games <= MOST:
+                raise ValueError(f"games: {shown(games)} should be a whole number from 0 on")
+            if whole:
+                half = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+            return games, about["sha256"], half
     except KeyError as error:
         raise RunError(f"{path} cannot be read: it does not say its {error}") from None
-    except (SafetensorError, OSError, ValueError, TypeError) as error:
+    except (SafetensorError, OSError, ValueError, TypeError, RecursionError) as error:
         raise RunError(f"{path} cannot be read: {str(error).splitlines()[0]}") from None
