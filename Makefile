@@ -68,8 +68,8 @@ verify: $(READY) ## play games of every stored run again and compare them with i
 	$(RUN) atari_dqn verify --profile $(PROFILE) $(RESULTS_OPTION)
 
 # loadfile: what the tests of a file share is made once
-test: $(READY) ## run the tests, one more at a time than two cores: many wait for processes
-	$(RUN) pytest -n 3 --dist loadfile --no-loadscope-reorder
+test: $(READY) ## run the tests
+	$(RUN) pytest -n 2 --dist loadfile --no-loadscope-reorder
 
 mutants: $(READY) ## put faults into the code and see tests fail (minutes)
 	$(VENV)/bin/python tests/mutants.py
