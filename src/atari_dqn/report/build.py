@@ -39,7 +39,7 @@ SUBTITLE = "A reproducible study of DQN, Double DQN and Dueling Double DQN on tw
 AUTHOR = "The atari-dqn project"
 DESCRIPTION = (
     "DQN, Double DQN and Dueling Double DQN learn Atari Boxing and Breakout from pixels, and the "
-    "claims of an earlier study are tested on runs that anyone can repeat."
+    "claims of an earlier study are tested on runs whose every game can be replayed."
 )
 KEYWORDS = "deep reinforcement learning, DQN, Double DQN, Dueling DQN, Atari, reproducibility"
 TEMPLATES = Path(__file__).parent / "templates"
