@@ -174,6 +174,15 @@ def test_a_game_that_cannot_be_set_up_is_refused(small, changes, record, said):
     records.begin(small(), EpisodeRecord(30, b"", None))
 
 
+def test_a_run_whose_model_is_missing_does_not_verify(run, tmp_path, command):
+    bad = tmp_path / "bad"
+    shutil.copytree(run, bad)
+    (bad / "model.safetensors").unlink()
+    code, said, errors = command("verify", bad, "--episodes", 1)
+    assert (code, said) == (1, "")
+    assert f"{bad / 'model.safetensors'} is missing, and a complete run has one" in errors
+
+
 def test_the_other_runs_are_verified_after_one_whose_records_cannot_be_played(
     run, tmp_path, command
 ):
@@ -185,7 +194,8 @@ def test_the_other_runs_are_verified_after_one_whose_records_cannot_be_played(
     code, said, errors = command("verify", bad, run)
     assert code == 1
     assert said == f"{run}: 9 of 9 games played again, all as the tables say\n"
-    assert "error: no game begins after 1000000000 idle frames" in errors
+    assert "no game begins after 1000000000 idle frames" in errors
+    assert "games.jsonl.zst: " in errors
     assert "Traceback" not in errors
     assert "\n2 of 9 games" in "\n" + command("verify", run, "--episodes", 2)[1].split(": ")[1]
 

@@ -459,7 +459,7 @@ IMPOSSIBLE = [
     *((tables.EPISODES, "frames", value) for value in ("-1", "0", "1")),
     *((tables.EPISODES, "length", value) for value in ("0", "-5", "9999")),
     *((tables.EPISODES, "epsilon", value) for value in ("1.5", "-0.1", "2e-1x")),
-    *((tables.EPISODES, "score", value) for value in ("inf", "nan", "1e400")),
+    *((tables.EPISODES, "score", value) for value in ("inf", "nan", "1e400", "1e+99")),
     *((tables.EPISODES, "agent_steps", value) for value in ("1", "-3")),
     *((tables.TIMING, name, "0") for name in ("seconds", "cpu_seconds")),
     *((tables.EVALUATIONS, name, "-1") for name in ("length", "frames", "epsilon", "seed")),

@@ -49,10 +49,10 @@ def verify(folder: Path, games: int | None) -> Iterator[str]:
     """Plays games of a stored run again, and yields the name of each that agrees.
 
     `games` of training and evaluation, evenly spaced, or None for all, among them the greedy games
-    behind values.csv. That the tables and the records are whole, and list the same games, is
-    always checked. Of a run that is not complete, the last games may be in no table yet. Raises
-    Difference at the first that is not as the tables say, RunError or ParameterError if a file
-    cannot be read.
+    behind values.csv. That tables, records and models are whole, and that the first two list the
+    same games, is always checked. Of a run that is not complete, the last games may be in no table
+    yet. Raises Difference at the first that is not as the tables say, RunError or ParameterError if
+    a file cannot be read.
     """
     stored = _stored(folder)
     _compare_lists(stored)
@@ -61,7 +61,11 @@ def verify(folder: Path, games: int | None) -> Iterator[str]:
     if games is not None and games < len(chosen):
         chosen = [chosen[at] for at in np.linspace(0, len(chosen) - 1, games).round().astype(int)]
     for heading, record in chosen:
-        facts = outcome(records.settings(stored.params, heading), record)
+        try:
+            facts = outcome(records.settings(stored.params, heading), record)
+        except RecordError as error:
+            path = folder / records.FILE
+            raise RecordError(f"{path}: {_name(heading)}: {error}") from None
         _compare(stored, _name(heading), heading["kind"], facts, rows[_place((heading, record))])
         yield _name(heading)
     for row in stored.tables[VALUES] if games is None else []:
@@ -142,6 +146,7 @@ def _stored(folder: Path) -> Stored:
         provenance = stored_json(folder, "provenance.json")
         complete = stored_json(folder, "status.json")["state"] == COMPLETE
         tables.check(folder)
+        tables.check_models(folder)
         if not complete:  # else `read_file` says so
             compression.check(folder, torn=True)
         found = {kind: _table(folder, kind) for kind in TABLES}

@@ -36,7 +36,7 @@ GROWING = (EPISODES, TIMING, VALUES)  # line by line, while a run trains; the ot
 WHOLE = "-?[0-9]{1,15}"
 COUNT = "[0-9]{1,15}"
 SOME = "[1-9][0-9]{0,14}"
-NUMBER = rf"{WHOLE}(?:\.[0-9]+)?(?:e[+-]?[0-9]{{1,2}})?"
+NUMBER = rf"{WHOLE}(?:\.[0-9]+)?(?:e-[0-9]{{1,2}})?"  # nothing that is measured is as large as e+
 OR_NAN = rf"(?:{NUMBER}|nan)?"  # pandas writes nothing for nan
 SHARE = r"(?:0(?:\.[0-9]+)?|1(?:\.0+)?|[0-9](?:\.[0-9]+)?e-[0-9]{2})"
 TRUTH = "(?:True|False)"
@@ -269,9 +269,7 @@ def damage(run: Run) -> str:
             _check_whose(run)
             check(run.folder)
             _check_records(run.folder)
-            for path in weights.files(run.folder):
-                _check_weights(path, path.stat().st_mtime_ns)
-            _check_model(run.folder)
+            check_models(run.folder)
             _check_beside(run.robustness, ROBUSTNESS)
             if run.params.game in STYLES:
                 _check_beside(run.styles, STYLES[run.params.game])
@@ -302,8 +300,11 @@ def _check_records(folder: Path) -> None:
         raise RunError(f"{path} {said}, and the tables tell of {told:,}")
 
 
-def _check_model(folder: Path) -> None:
-    """Raises RunError if a complete run has not the model of its last game."""
+def check_models(folder: Path) -> None:
+    """Raises RunError if a stored model is damaged, or if a complete run has not that of its last
+    game."""
+    for path in weights.files(folder):
+        _check_weights(path, path.stat().st_mtime_ns)
     status, path = stored_json(folder, "status.json"), folder / "model.safetensors"
     if status["state"] != COMPLETE:
         return
