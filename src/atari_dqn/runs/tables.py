@@ -37,7 +37,8 @@ WHOLE = "-?[0-9]{1,15}"
 COUNT = "[0-9]{1,15}"
 SOME = "[1-9][0-9]{0,14}"
 NUMBER = rf"{WHOLE}(?:\.[0-9]+)?(?:e-[0-9]{{1,2}})?"  # nothing that is measured is as large as e+
-OR_NAN = rf"(?:{NUMBER}|nan)?"  # pandas writes nothing for nan
+LEARNED = rf"{WHOLE}(?:\.[0-9]+)?(?:e[+-][0-9]{{1,2}})?"  # but what a network says, if it diverges
+OR_NAN = rf"(?:{LEARNED}|nan)?"  # pandas writes nothing for nan
 SHARE = r"(?:0(?:\.[0-9]+)?|1(?:\.0+)?|[0-9](?:\.[0-9]+)?e-[0-9]{2})"
 TRUTH = "(?:True|False)"
 DIGEST = "[0-9a-f]+"
@@ -47,6 +48,7 @@ SAID = {
     COUNT: "a whole number from 0 on",
     SOME: "a whole number from 1 on",
     NUMBER: "a number",
+    LEARNED: "a number",
     OR_NAN: "a number or nan",
     SHARE: "a number from 0 to 1",
     TRUTH: "True or False",
@@ -68,7 +70,8 @@ COLUMNS: dict[str, dict[str, str]] = {
     TIMING: {"episode": SOME, "seconds": NUMBER, "cpu_seconds": NUMBER},
     VALUES: {
         "episode": SOME,
-        **dict.fromkeys(("held_out_q", "predicted", "realised", "score"), NUMBER),
+        **dict.fromkeys(("held_out_q", "predicted"), LEARNED),
+        **dict.fromkeys(("realised", "score"), NUMBER),
     },
     EVALUATIONS: {
         "game": COUNT,
