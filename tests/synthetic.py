@@ -155,7 +155,7 @@ def check(run, score, predicted=1.0, realised=1.0, held_out=1.0):
     record(run)
 
 
-def style(run, score, greedy=4, **columns):
+def style(run, score, greedy=params.VALUE_GAMES, **columns):
     """Gives a run the styles of its greedy episodes after every hundred episodes of training; a
     column is a value per check, and in Breakout 1 where it is not given. An episode lasts two
     minutes."""

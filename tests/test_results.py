@@ -340,8 +340,9 @@ def test_a_game_of_four_openings_shows_the_range_of_their_means_in_place_of_an_i
     assert "range is that of the openings" in caption
 
 
-def test_the_time_to_a_knock_out_is_the_mean_of_the_games_that_end_so(tmp_path):
+def test_the_time_to_a_knock_out_is_the_mean_of_the_games_that_end_so(tmp_path, monkeypatch):
     run = store(tmp_path, "boxing_final", DQN, np.zeros(1000))
+    monkeypatch.setattr(params, "VALUE_GAMES", 3)
     style(run, np.zeros(10), greedy=3)
     table = pd.read_csv(run.styles)
     late = table.index[-3:]  # the last check: two knock-outs, and a long game without
@@ -454,9 +455,10 @@ def test_balls_of_breakout_are_told_by_their_speed_and_by_where_they_are_lost(tm
     assert "Breakout" in shown.captions["fig-breakout-late-style"]
 
 
-def test_shares_of_balls_are_of_all_balls_of_a_check_and_of_all_checks_together(tmp_path):
+def test_shares_of_balls_are_of_all_balls_of_a_check_and_of_all_checks(tmp_path, monkeypatch):
     """Ten checks of two games; a game in which many balls come back counts by its balls."""
     run = store(tmp_path, "breakout_late", DQN, np.zeros(1000))
+    monkeypatch.setattr(params, "VALUE_GAMES", 2)
     style(run, np.zeros(10), greedy=2)
     table = pd.read_csv(run.styles)
     late = table.episode > 500
@@ -498,8 +500,9 @@ def test_a_share_of_one_check_alone_is_no_beginning(tmp_path, shown):
     assert "A dash" in shown.captions["tbl-breakout-late-style"]
 
 
-def test_a_game_without_a_ball_of_some_speed_says_nothing_of_it(tmp_path):
+def test_a_game_without_a_ball_of_some_speed_says_nothing_of_it(tmp_path, monkeypatch):
     run = store(tmp_path, "breakout_late", DQN, np.zeros(200))
+    monkeypatch.setattr(params, "VALUE_GAMES", 1)
     style(run, np.zeros(2), returned_fast=0, lost_fast=[0, 2], greedy=1)
     styles = study(tmp_path)["breakout_late"].styles
     assert styles.fast.isna().tolist() == [True, False]

@@ -11,7 +11,7 @@ import numpy as np
 
 from atari_dqn import params
 from atari_dqn.envs import EpisodeRecord, learned_reward
-from atari_dqn.params import Parameters, stored_parameters
+from atari_dqn.params import Parameters
 from atari_dqn.runs import compression, records, tables
 from atari_dqn.runs.files import RunError, evaluations_lock
 from atari_dqn.runs.records import EVALUATION, KEYS, TRAINING, VALUES, Game, Heading, RecordError
@@ -141,18 +141,16 @@ def _values(parameters: Parameters, behind: list[EpisodeRecord]) -> Facts:
 
 
 def _stored(folder: Path) -> Stored:
-    parameters = stored_parameters(folder)
     with evaluations_lock(folder):  # and the tables first: no row is written before its record
         provenance = stored_json(folder, "provenance.json")
         complete = stored_json(folder, "status.json")["state"] == COMPLETE
+        parameters = tables.check_parameters(folder)
         tables.check(folder)
         tables.check_models(folder)
         if not complete:  # else `read_file` says so
             compression.check(folder, torn=True)
         found = {kind: _table(folder, kind) for kind in TABLES}
         games = records.read_file(folder, torn=not complete)
-    if provenance["identity"] != parameters.identity():
-        raise Difference(f"{folder / params.STORED} is not what provenance.json says of the run")
     total = 0.0
     for row in found[TRAINING]:  # whose frames are those of all games so far
         total, row["frames"] = row["frames"], row["frames"] - total

@@ -256,13 +256,11 @@ def trials(run: Run) -> "pd.DataFrame":
 
 
 def style(run: Run) -> "pd.DataFrame":
-    """What stands in a run's file of styles of those checks that have as many games as any,
-    likewise."""
+    """What stands in a run's file of styles of those checks that have all their games, likewise."""
     table = read_file(run.styles, STYLES[run.params.game])
     if table.empty:
         return table
-    games = table.groupby("episode").game.transform("size")
-    return table[games == games.max()]
+    return table[table.groupby("episode").game.transform("size") >= params.VALUE_GAMES]
 
 
 def damage(run: Run) -> str:
@@ -284,11 +282,21 @@ def damage(run: Run) -> str:
 
 
 def _check_whose(run: Run) -> None:
-    stored = params.stored_parameters(run.folder)
+    stored = check_parameters(run.folder)
     for name, own in (("agents", run.agent), ("seeds", run.seed)):
         if (said := getattr(stored, name)) != [own]:
             path = run.folder / params.STORED
             raise RunError(f"{path}: {name}: {shown(said)} should be {[own]!r}, as its folder says")
+
+
+def check_parameters(folder: Path) -> params.Parameters:
+    """What a stored run was trained with. Raises RunError unless it is what its provenance says,
+    ParameterError if it cannot be read."""
+    stored = params.stored_parameters(folder)
+    if stored_json(folder, "provenance.json")["identity"] != stored.identity():
+        path = folder / params.STORED
+        raise RunError(f"{path} is not what provenance.json says of the run")
+    return stored
 
 
 def _check_records(folder: Path) -> None:
