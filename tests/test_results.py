@@ -85,38 +85,69 @@ def test_marks_of_a_shorter_experiment_are_sixths_of_its_games(tmp_path, shown):
 KNOCKED = [1] * 10 + [-1] * 20 + [0] * 10  # of 40 games, a quarter by knock-out, half knocked out
 
 
-def test_an_evaluation_has_a_row_a_run_of_the_games_played_as_it_was_trained(tmp_path, shown):
+def test_an_evaluation_has_a_row_per_condition_and_one_of_random_play(tmp_path, shown):
     for agent, mean, won in ((DQN, 10.0, 0.25), (DOUBLE, -30.0, 0.5)):
         run = store(tmp_path, "boxing_final", agent, np.zeros(700))
         wins = np.arange(40) < 40 * won
         evaluate(run, trained=600, score=mean, won=wins, knockout=KNOCKED)
         for otherwise in ({"difficulty": 2}, {"sticky_actions": 0.25}, {"trained": 500}):
-            evaluate(run, add=True, **{"trained": 600, **otherwise}, score=-90.0, knockout=1)
+            how = {"trained": 600, **otherwise}
+            evaluate(run, add=True, **how, score=-90.0, knockout=1, games=30)
     for trained in (500, 600):  # games of random moves, the same whichever model stood by
         evaluate(run, add=True, trained=trained, epsilon=1.0, score=0.5, won=False, games=20)
-    results.show_evaluations(study(tmp_path)["boxing_final"])
+    results.show_conditions(study(tmp_path)["boxing_final"])
     rows = shown.tables["tbl-boxing-final-evaluation"]
-    columns = ("agent", "seed", "training games", "games", "mean score", "won", "by knock-out")
+    columns = ("agent", "difficulty", "sticky", "games", "mean score", "won", "by knock-out")
+    others = [("0", "0.25", "30", "-90.0", "0%", "100%"), ("2", "0", "30", "-90.0", "0%", "100%")]
     assert [tuple(row[name] for name in columns) for row in rows] == [
-        ("DQN", "1", "600", "40", "10.0", "25%", "25%"),
-        ("Double DQN", "1", "600", "40", "-30.0", "50%", "25%"),
-        ("random play", "–", "–", "20", "0.5", "0%", "0%"),
+        ("DQN", "0", "0", "40", "10.0", "25%", "25%"),
+        *[("DQN", *other) for other in others],
+        ("Double DQN", "0", "0", "40", "-30.0", "50%", "25%"),
+        *[("Double DQN", *other) for other in others],
+        ("random play", "0", "0", "20", "0.5", "0%", "0%"),
     ]
+    assert not {"seed", "training games"} & {*rows[0]}, "they are alike in all rows"
     for row in rows:
         low, high = numbers(row["95% interval"])
         # of 40 values evenly spread over two points
         assert high - low == pytest.approx(
-            2 * 1.96 * 2 / 12**0.5 / int(row["games"]) ** 0.5, abs=0.12
+            2 * 1.96 * 2 / 12**0.5 / int(row["games"]) ** 0.5, abs=0.13
         )
         assert (low + high) / 2 == pytest.approx(float(row["mean score"]), abs=0.11)
     caption = shown.captions["tbl-boxing-final-evaluation"]
-    assert numbers(caption)[:1] == [0], "the difficulty"
+    assert numbers(caption)[:3] == [600, 0, 0], "games of training, difficulty and stickiness"
+    assert "with sticky actions and for random play, each game does" in caption
+
+
+def test_models_of_different_games_are_told_apart_and_the_caption_is_of_the_rows(tmp_path, shown):
+    for agent, trained in ((DQN, 500), (DOUBLE, 600)):
+        evaluate(store(tmp_path, "boxing_final", agent, np.zeros(700)), trained=trained)
+    results.show_conditions(study(tmp_path)["boxing_final"])
+    rows = shown.tables["tbl-boxing-final-evaluation"]
+    assert [row["training games"] for row in rows] == ["500", "600"]
+    caption = shown.captions["tbl-boxing-final-evaluation"]
+    assert "after 500 and 600 games of training" in caption
+    assert "sticky actions of 0. Each opening" in caption
+    assert "each game does" not in caption
+
+
+def test_the_scores_of_both_games_stand_in_one_table(tmp_path, shown):
+    results.show_scores(study(tmp_path))
+    assert not shown.tables
+    run = store(tmp_path, "boxing_final", DQN, np.full(3000, 50.0))
+    evaluate(run, score=40.0)
+    results.show_scores(study(tmp_path))
+    rows = shown.tables["tbl-scores"]
+    assert [row["game"] for row in rows] == ["Boxing", "", "", "Breakout", "", ""]
+    assert list(rows[0].values())[1:] == ["DQN", "2,501 to 3,000", "50.0", "85.6", "40.0"]
+    assert set(list(rows[3].values())[2:]) == {"–"}
+    assert numbers(shown.captions["tbl-scores"])[1:3] == [12.1, 30.5]
 
 
 def test_games_of_breakout_are_not_won_by_knock_out(tmp_path, shown):
     run = store(tmp_path, "breakout_final", DQN, np.zeros(700))
     evaluate(run, score=30.0)
-    results.show_evaluations(study(tmp_path)["breakout_final"])
+    results.show_conditions(study(tmp_path)["breakout_final"])
     (row,) = shown.tables["tbl-breakout-final-evaluation"]
     assert row["mean score"] == "30.0"
     assert not {"won", "by knock-out", "seconds to knock-out"} & set(row)
@@ -129,14 +160,14 @@ def test_conditions_are_rows_of_their_own(tmp_path, shown):
     evaluate(run, add=True, score=40.0, difficulty=1, knockout=KNOCKED, games=40, frames=frames)
     evaluate(run, add=True, score=30.0, sticky_actions=0.25, won=False, games=10)
     results.show_conditions(study(tmp_path)["boxing_expert"])
-    rows = shown.tables["tbl-boxing-expert-conditions"]
+    rows = shown.tables["tbl-boxing-expert-evaluation"]
     columns = ("difficulty", "sticky", "mean score", "won", "by knock-out", "seconds to knock-out")
     assert [tuple(row[name] for name in columns) for row in rows] == [
         ("1", "0", "40.0", "100%", "25%", "60"),
         ("3", "0", "50.0", "100%", "0%", "–"),
         ("3", "0.25", "30.0", "0%", "0%", "–"),
     ]
-    assert numbers(shown.captions["tbl-boxing-expert-conditions"])[:2] == [3, 0], "as trained"
+    assert numbers(shown.captions["tbl-boxing-expert-evaluation"])[1:3] == [3, 0], "as trained"
 
 
 def test_a_sweep_has_a_row_a_variation_beside_the_same_games_of_the_unchanged_set_up(
@@ -328,7 +359,7 @@ def test_a_game_of_four_openings_shows_the_range_of_their_means_in_place_of_an_i
     section = study(tmp_path)["breakout_late"]
     results.show_conditions(section)
     ranges, intervals = (
-        row["95% interval"] for row in shown.tables["tbl-breakout-late-conditions"]
+        row["95% interval, or range"] for row in shown.tables["tbl-breakout-late-evaluation"]
     )
     usual = section.final_evaluations.query("sticky_actions == 0")
     means = usual.groupby("opening").score.mean()
@@ -336,7 +367,7 @@ def test_a_game_of_four_openings_shows_the_range_of_their_means_in_place_of_an_i
     assert ranges == f"range {means.min():.1f} to {means.max():.1f}"
     low, high = numbers(intervals)
     assert low < 20 < high
-    caption = shown.captions["tbl-breakout-late-conditions"]
+    caption = shown.captions["tbl-breakout-late-evaluation"]
     assert "range is that of the openings" in caption
 
 
@@ -558,15 +589,6 @@ def test_an_empty_place_gives_a_reason_where_no_badge_does(tmp_path, shown):
     assert all(len(reason) > 20 for reason in reasons)
 
 
-def test_one_condition_alone_is_no_comparison(tmp_path, shown):
-    run = store(tmp_path, "boxing_final", DQN, np.full(600, 50.0))
-    evaluate(run)
-    results.show_conditions(study(tmp_path)["boxing_final"])
-    evaluate(run, add=True, difficulty=3, epsilon=1.0)
-    results.show_conditions(study(tmp_path)["boxing_final"])
-    assert not shown.tables
-
-
 def test_a_badge_tells_what_is_complete_the_share_played_and_what_is_planned(tmp_path, shown):
     store(tmp_path, "boxing_final", DQN, np.zeros(3000))
     store(tmp_path, "boxing_final", DOUBLE, np.zeros(1500))
@@ -594,7 +616,8 @@ def test_a_finished_agents_score_stands_beside_those_under_conditions_it_has_nev
         evaluate(run, add=True, score=FAR, difficulty=1)
         rows = [
             *(("sequence", 29, 10.0 - less), ("mirrored", 100, 30.0 - less)),
-            *(("field", 100, 35.0 - less), ("scoreboard", 99, FAR)),  # a game less than there are
+            *(("field", 100, 35.0 - less), ("edges", 100, 45.0 - less)),
+            ("scoreboard", 99, FAR),  # a game less than there are
         ]
         run.robustness.parent.mkdir(parents=True, exist_ok=True)
         table = {"length": 9, "trained_games": 3000}
@@ -615,12 +638,14 @@ def test_a_finished_agents_score_stands_beside_those_under_conditions_it_has_nev
         ("DQN", "as trained", "40", "80.0"),
         ("DQN", "sticky actions, 0.25", "40", "60.0"),
         ("DQN", "left and right exchanged", "100", "30.0"),
-        ("DQN", "the same below the scoreboard", "100", "35.0"),
+        ("DQN", "the same in the field alone", "100", "35.0"),
+        ("DQN", "what is about the field exchanged", "100", "45.0"),
         ("DQN", "the best game's moves, blindly", "29", "10.0"),
         ("Double DQN", "as trained", "40", "30.0"),
         ("Double DQN", "sticky actions, 0.25", "40", "10.0"),
         ("Double DQN", "left and right exchanged", "100", "-20.0"),
-        ("Double DQN", "the same below the scoreboard", "100", "-15.0"),
+        ("Double DQN", "the same in the field alone", "100", "-15.0"),
+        ("Double DQN", "what is about the field exchanged", "100", "-5.0"),
         ("Double DQN", "the best game's moves, blindly", "29", "-40.0"),
     ]
     for row in table:

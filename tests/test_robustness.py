@@ -7,6 +7,7 @@ from conftest import SMALL
 from synthetic import evaluate, store
 
 from atari_dqn.envs import EpisodeRecord, make_env
+from atari_dqn.games import GAMES
 from atari_dqn.params import Parameters
 from atari_dqn.runs import models, recorder, records, robustness, tables
 from atari_dqn.runs.run import Run
@@ -44,7 +45,7 @@ def test_a_sequence_is_played_in_every_opening_but_that_of_the_game_it_comes_fro
 
 
 def test_mirrored_games_are_as_many_as_evaluation_games(run, measured):
-    for condition in ("mirrored", "field"):
+    for condition in ("mirrored", "field", "edges"):
         assert sorted(measured[measured.condition == condition].game) == [0, 1, 2]
     assert set(measured.trained_games) == {3}
 
@@ -69,7 +70,7 @@ def test_a_condition_that_lacks_a_game_counts_as_not_played_and_is_played_again(
     for left in (lines[:cut] + lines[cut + 1 :], lines[:1]):
         run.robustness.write_bytes(b"".join(left))
         shown = tables.trials(run)
-        whole = {"sequence", "mirrored", "field", "scoreboard"} - {condition}
+        whole = {"sequence", "mirrored", "field", "edges", "scoreboard"} - {condition}
         assert set(shown.condition if len(shown) else []) == (whole if len(left) > 1 else set())
         robustness.measure(run)
         assert sorted(run.robustness.read_bytes().splitlines(True)) == sorted(lines)
@@ -131,8 +132,8 @@ def test_a_mirrored_player_sees_and_moves_the_other_way_round(small):
     np.testing.assert_array_equal(twice(picture), player(picture))
 
 
-@pytest.mark.parametrize(("game", "rows"), [("boxing", 10), ("breakout", 6)])
-def test_a_mirrored_field_lies_under_a_scoreboard_as_it_is(small, game, rows):
+@pytest.mark.parametrize("game", ["boxing", "breakout"])
+def test_a_field_is_mirrored_and_nothing_about_it(small, game):
     parameters, seen = small(game=game), []
     moves = np.eye(len(make_env(parameters).actions))[-1:]  # one to the left
     rng = np.random.default_rng(0)
@@ -142,8 +143,43 @@ def test_a_mirrored_field_lies_under_a_scoreboard_as_it_is(small, game, rows):
     exchanged = robustness.mirrored(lambda given: moves, parameters)
     np.testing.assert_array_equal(play(picture), exchanged(picture))
     np.testing.assert_array_equal(picture, before)
-    np.testing.assert_array_equal(seen[0][:, :rows], before[:, :rows])
-    np.testing.assert_array_equal(seen[0][:, rows:], before[:, rows:, ::-1])
+    field = np.zeros((84, 84), bool)
+    field[GAMES[game].field] = True
+    np.testing.assert_array_equal(field, field[:, ::-1])
+    np.testing.assert_array_equal(seen[0][:, ~field], before[:, ~field])
+    np.testing.assert_array_equal(seen[0][:, field], before[:, :, ::-1][:, field])
+
+
+@pytest.mark.parametrize(("game", "rows"), [("boxing", 10), ("breakout", 6)])
+def test_edges_are_mirrored_about_a_field_and_under_a_scoreboard_as_they_are(small, game, rows):
+    seen = []
+    picture = np.random.default_rng(0).integers(0, 255, (1, 84, 84, 4), np.uint8)
+    before = picture.copy()
+    play = robustness.edges_mirrored(lambda given: seen.append(given) or "moves", small(game=game))
+    assert play(picture) == "moves"
+    np.testing.assert_array_equal(picture, before)
+    kept = np.zeros((84, 84), bool)
+    kept[:rows] = kept[GAMES[game].field] = True
+    np.testing.assert_array_equal(seen[0][:, kept], before[:, kept])
+    np.testing.assert_array_equal(seen[0][:, ~kept], before[:, :, ::-1][:, ~kept])
+
+
+@pytest.mark.parametrize("game", ["boxing", "breakout"])
+def test_all_that_moves_under_the_scoreboard_is_in_the_field_and_that_is_alike_on_both_sides(
+    small, game
+):
+    env = make_env(small(game=game))
+    first = env.reset(seed=1)[0]
+    pictures = np.array([env.step(step % len(env.actions))[0] for step in range(150)])
+    facts = GAMES[game]
+    moving = (pictures != first).any(axis=0)
+    assert moving[facts.field].any()
+    moving[facts.field] = False
+    assert not moving[facts.scoreboard :].any()
+    empty = np.median(pictures, axis=0)[facts.field]  # where neither a boxer nor the ball stays
+    assert (empty != empty[:, ::-1]).mean() < 0.15
+    edge = empty[:, [0, 1, -2, -1]]
+    np.testing.assert_allclose(edge, edge[:, ::-1], atol=10)  # the feet shine in a little
 
 
 @pytest.mark.parametrize(("game", "rows"), [("boxing", 10), ("breakout", 6)])

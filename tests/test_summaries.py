@@ -9,7 +9,6 @@ import pytest
 from synthetic import (
     AGENTS,
     ROOT,
-    TITLES,
     check,
     evaluate,
     facts,
@@ -69,8 +68,6 @@ def test_an_agent_has_one_score_wherever_it_is_told(tmp_path):
         assert (found.mean, found.window, found.episodes) == (expected, window_, length)
         assert float(found) == expected
         assert expected in facts(summaries.headline(stored))
-        said = facts(summaries.compared(stored["boxing_final"]))
-        assert said[:4] == [length - window_ + 1, length, "Double DQN", expected]
         (line,) = [
             one for one in lines(summaries.reading(stored, "boxing_final")) if "- Double" in one
         ]
@@ -91,22 +88,6 @@ def test_the_claims_that_are_judged_are_counted_by_verdict(tmp_path):
     stored = three_true_and_one_false(tmp_path)
     counted = summaries.headline(stored).split("The source report makes 22 claims", 1)[1]
     assert "4 have been judged so far (3 “in these runs: yes”, 1 “in these runs: no”)" in counted
-
-
-def test_agents_are_compared_the_best_first_and_with_their_games_human_score(tmp_path):
-    boxing(tmp_path, {DQN: 80.0, DOUBLE: 90.0, DUELING: 85.0})
-    stored = boxing(tmp_path, {DQN: 36.0, DOUBLE: 15.0, DUELING: 21.0}, "breakout_final")
-    first, second = (
-        summaries.compared(stored[name]) for name in ("boxing_final", "breakout_final")
-    )
-    ranked = [("Double DQN", 90), ("Dueling Double DQN", 85), ("DQN", 80)]
-    told = [2501, 3000, *(one for pair in ranked for one in pair)]
-    assert facts(first)[:9] == [*told, 12.1]
-    ranked = [("DQN", 36), ("Dueling Double DQN", 21), ("Double DQN", 15)]
-    told = [2501, 3000, *(one for pair in ranked for one in pair)]
-    assert facts(second)[:9] == [*told, 30.5]
-    assert first.startswith("Over training games 2,501 to 3,000 of Boxing, Double DQN scored 90.0,")
-    assert " of Breakout, DQN scored 36.0, Dueling Double DQN 21.0 and Double DQN 15.0" in second
 
 
 def test_before_an_agent_is_past_its_early_games_the_share_of_all_games_is_told(tmp_path):
@@ -130,7 +111,6 @@ def test_an_agent_is_past_its_early_games_after_five_hundred(tmp_path):
     store(tmp_path, "boxing_final", DOUBLE, np.full(500, 7.0))
     text = summaries.headline(study(tmp_path))
     assert facts(text.split("**")[1]) == [500, "Double DQN", 7.0, 100, 100, 12.1, 0.1]
-    assert "DQN has played only 499 games. Dueling Double DQN has not begun." in text
 
 
 def lines(text):
@@ -193,21 +173,28 @@ def test_the_newest_greedy_games_are_those_of_an_evaluation_not_long_ago(tmp_pat
         assert facts(line)[-3:] == expected
 
 
-def test_scores_beside_the_source_reports_are_of_the_same_agent_mark_and_games(tmp_path):
-    theirs = {DQN: 81.78, DOUBLE: 90.79, DUELING: 88.13}  # its table 2, after 2,000 games
-    ours = {DQN: 82.0, DOUBLE: 91.0, DUELING: 89.0}
-    for agent, mean in ours.items():
-        store(tmp_path, "boxing_final", agent, window(1501, 2000, mean, FAR))
-    said = summaries.beside_source(study(tmp_path)["boxing_final"])
-    expected = [(TITLES[agent], ours[agent], round(theirs[agent], 1)) for agent in AGENTS]
-    assert facts(said) == [1501, 2000, *(value for one in expected for value in one)]
-    assert said.endswith("(see @sec-why).")
-    store(tmp_path, "boxing_final", DOUBLE, window(1501, 2000, 90.0, FAR))
-    said = summaries.beside_source(study(tmp_path)["boxing_final"])
-    assert facts(said)[5:8] == ["Double DQN", 90.0, 90.8]
-    store(tmp_path, "breakout_final", DQN, np.zeros(600))
-    said = summaries.beside_source(study(tmp_path)["breakout_final"])
-    assert said.endswith("(see @sec-why-breakout).")
+def test_scores_are_those_up_to_the_last_milestone_beside_the_source_reports_of_the_same(tmp_path):
+    run = store(tmp_path, "boxing_final", DQN, window(2501, 3000, 70.0, FAR, after=0))
+    evaluate(run, score=60.0)
+    store(tmp_path, "boxing_final", DOUBLE, window(1501, 2000, 91.0, FAR))
+    store(tmp_path, "breakout_final", DUELING, np.zeros(499))
+    table = summaries.scores(study(tmp_path)).set_index(["game", "agent"])
+    assert len(table) == 6
+    own = table.loc["Boxing", "DQN"]
+    assert own.evaluated == pytest.approx(60.0)
+    assert own.tolist()[:3] == ["2,501 to 3,000", pytest.approx(70.0), 85.61]
+    own = table.loc["Boxing", "Double DQN"]
+    assert own.tolist()[:3] == ["1,501 to 2,000", pytest.approx(91.0), 90.79], "its table 2"
+    assert np.isnan(own.evaluated)
+    for nothing in (("Boxing", "Dueling Double DQN"), ("Breakout", "Dueling Double DQN")):
+        assert table.loc[nothing].isna().all()
+
+
+def test_no_score_of_the_source_report_stands_beside_shorter_runs(tmp_path, monkeypatch):
+    store(tmp_path, "boxing_final", DQN, np.zeros(3000))
+    stored = study(tmp_path)
+    monkeypatch.setattr(summaries, "MILESTONES", (100, 200, 300, 400, 500, 600))
+    assert summaries.scores(stored)["source report's"].isna().all()
 
 
 def test_a_reading_tells_where_a_run_stands_and_when_it_passed_the_human_score(tmp_path):
@@ -221,32 +208,13 @@ def test_a_reading_tells_where_a_run_stands_and_when_it_passed_the_human_score(t
     assert "Claims 1 to 4 of @tbl-findings are still open" in text
 
 
-def test_the_headline_puts_the_source_reports_scores_beside_ours_at_the_last_common_mark(tmp_path):
-    store(tmp_path, "boxing_final", "dqn", np.full(1100, 60.0))
-    store(tmp_path, "boxing_final", "double_dqn", np.full(600, 20.0))
-    stored = study(tmp_path)
-    expected = (
-        "the source report's: over games 501 to 1,000, DQN 60.0 and 51.6; over games 1 to 500, "
-        "Double DQN 20.0 and 29.0 (see @sec-why)."
-    )
-    assert expected in summaries.headline(stored)
-
-
-def test_an_agent_that_has_just_begun_is_named_and_compared_with_nobody(tmp_path):
+def test_an_agent_that_has_just_begun_is_compared_with_nobody(tmp_path):
     store(tmp_path, "boxing_final", "dqn", np.full(700, 5.0))
     store(tmp_path, "boxing_final", "double_dqn", np.full(600, 9.0))
     store(tmp_path, "boxing_final", "dueling_double_dqn", np.full(120, 50.0))
-    stored = study(tmp_path)
-    headline = summaries.headline(stored)
+    headline = summaries.headline(study(tmp_path))
     assert "After 600 games of Boxing each, Double DQN scores 9.0 points per game" in headline
     assert "and DQN 5.0 (mean of the last 100 games" in headline
-    said = summaries.compared(stored["boxing_final"])
-    told = "Over training games 501 to 600 of Boxing, Double DQN scored 9.0 and DQN 5.0 points"
-    assert said.startswith(told)
-    assert "one human tester: 12.1" in said
-    store(tmp_path, "breakout_final", "dqn", np.full(700, 25.0))
-    assert "DQN 25.0" in summaries.headline(study(tmp_path)), "the other game"
-    assert "Dueling Double DQN has played only 120 games." in said
 
 
 def test_a_second_seed_that_has_just_begun_takes_nothing_from_the_first(tmp_path):
@@ -259,22 +227,18 @@ def test_a_second_seed_that_has_just_begun_takes_nothing_from_the_first(tmp_path
     assert "After 700 games of Boxing, DQN scores 5.0 points per game (mean" in headline
 
 
-def test_finished_agents_come_first_and_an_unfinished_one_stands_beside_them_at_its_own_games(
-    tmp_path,
-):
-    for name, human in (("boxing_final", 12.1), ("breakout_final", 30.5)):
-        for agent, early, end in ((DQN, 30.0, 80.0), (DOUBLE, 20.0, 90.0)):
-            means = {(601, 700): early, (2501, 3000): end}
-            store(tmp_path, name, agent, windows(means, FAR, after=0))
-        store(tmp_path, name, DUELING, window(601, 700, 95.0, FAR, after=0))
-        said = facts(summaries.compared(study(tmp_path)[name]))
-        first = [2501, 3000, "Double DQN", 90, "DQN", 80, human]
-        assert said[:7] == first
-        assert said[7:15] == ["Dueling Double DQN", 601, 700, 95, "DQN", 30, "Double DQN", 20]
+def test_finished_agents_stand_in_the_headline_alone(tmp_path):
+    for agent, early, end in ((DQN, 30.0, 80.0), (DOUBLE, 20.0, 90.0)):
+        store(
+            tmp_path,
+            "boxing_final",
+            agent,
+            windows({(601, 700): early, (2501, 3000): end}, FAR, after=0),
+        )
+    store(tmp_path, "boxing_final", DUELING, window(601, 700, 95.0, FAR, after=0))
     text = summaries.headline(study(tmp_path))
     expected = [3000, "Double DQN", 90.0, "DQN", 80.0, 500, 100, 12.1, 0.1]
     assert facts(text.split("**")[1]) == expected
-    assert facts(text.split("**")[2])[:4] == ["Dueling Double DQN", 601, 700, 95]
 
 
 @pytest.mark.parametrize(

@@ -29,6 +29,8 @@ class GameFacts:
     # pixels, of the agent and of its rival (Anand et al., 2019)
     full_frames: int | None = None  # of a game that only its clock ends, where there is one
     scoreboard: int = 0  # rows of an observation, from its top, with the score and a clock or lives
+    field: tuple[slice, slice] | None = None  # rows and columns of an observation in which the game
+    # is played, as far from its left edge as from its right
     clock_cells: tuple[int, int] | None = None  # RAM cells of a clock that runs down: minutes in
     # the upper half of the first, seconds in the second, as decimal digits
 
@@ -66,10 +68,19 @@ GAMES = {
             boxers=((32, 34), (33, 35)),
             full_frames=7141,
             scoreboard=10,
+            field=(slice(10, 70), slice(14, 70)),  # the ring with its ropes
             clock_cells=(16, 17),
         ),
         GameFacts(
-            "breakout", 1.7, 30.5, (0, 1), 864, fire_to_serve=True, idle_cycle=4, scoreboard=6
+            "breakout",
+            1.7,
+            30.5,
+            (0, 1),
+            864,
+            fire_to_serve=True,
+            idle_cycle=4,
+            scoreboard=6,
+            field=(slice(6, 84), slice(4, 80)),  # between the walls, whose feet differ in colour
         ),
         GameFacts("centipede", 2090.9, 12017.0, (0,)),
         GameFacts("chopper_command", 811.0, 7387.8, (0, 1)),

@@ -1,6 +1,7 @@
 """Sentences of the report that are computed: what the stored runs have shown so far."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -80,17 +81,6 @@ class Standings:
     last: int
     means: dict[str, float]  # points, by the agents' titles, the best first
 
-    @property
-    def episodes(self) -> str:
-        return f"training games {self.first:,} to {self.last:,}"
-
-    @property
-    def listed(self) -> str:
-        """In words: "A scored 3.0, B 2.0 and C 1.0"."""
-        (best, top), *others = self.means.items()
-        said = [f"{best} scored {top:.1f}", *(f"{agent} {mean:.1f}" for agent, mean in others)]
-        return _in_a_row(said)
-
 
 def standings(section: Section) -> Standings | None:
     """The finished agents, or if there is none, all that have a score, over the last episodes that
@@ -124,9 +114,7 @@ def headline(study: Study) -> str:
         verb = "has" if judged.sum() == 1 else "have"
         so_far = " so far" if judged.sum() < testable else ""
         claims += f"; {judged.sum()} {verb} been judged{so_far} ({counted})."
-    others = _others(section, found) if found else ""
-    breakout = compared(study["breakout_final"])
-    return " ".join(filter(None, (f"**{text}**", others, beside_source(section), breakout, claims)))
+    return f"**{text}** {claims}"
 
 
 def _scored(section: Section, found: Standings) -> str:
@@ -161,43 +149,29 @@ def _played(study: Study) -> tuple[int, int]:
     return sum(len(each.episodes) for each in sections), planned
 
 
-def compared(section: Section) -> str:
-    """How an experiment's agents compare over the same games, and with the source report's; empty
-    while none has a score."""
-    if (found := standings(section)) is None:
-        return ""
-    text = (
-        f"Over {found.episodes} of {section.facts.title}, {found.listed} points per game (one "
-        f"human tester: {section.facts.human:g})."
-    )
-    return " ".join(filter(None, (text, _others(section, found), beside_source(section))))
-
-
-def _others(section: Section, found: Standings) -> str:
-    """How far the agents are that are not among the standings, and what they score beside these."""
-    said = []
-    played = section.episodes.groupby("agent").episode.max()
-    for agent in section.params.agents:
-        name, own = params.title(agent), score(section, agent)
-        if name in found.means:
-            continue
-        if agent not in played:
-            said.append(f"{name} has not begun.")
-        elif own is None:
-            said.append(f"{name} has played only {played[agent]:,} games.")
-        else:
-            first, last = own.episodes - own.window + 1, own.episodes
-            mean = section.scores(agent, first, last).mean()
-            others = [
-                f"{params.title(other)} {section.scores(other, first, last).mean():.1f}"
-                for other in section.params.agents
-                if params.title(other) in found.means
-            ]
-            said.append(
-                f"{name} is unfinished: over games {first:,} to {last:,} it scored {mean:.1f}, and "
-                f"over the same games {_in_a_row(others)}."
-            )
-    return " ".join(said)
+def scores(study: Study) -> pd.DataFrame:
+    """A row per agent with the final settings of each game: its mean score over the games up to the
+    last milestone that it has reached, the source report's there, and its evaluation."""
+    rows, source = [], data("source_report")
+    for section in (study["boxing_final"], study["breakout_final"]):
+        whole = section.params.episodes == MILESTONES[-1]
+        for agent in section.params.agents:
+            row: dict[str, Any] = {"game": section.facts.title, "agent": params.title(agent)}
+            row |= dict.fromkeys(("training games", "our score", "source report's", "evaluated"))
+            for number in range(len(MILESTONES), 0, -1):
+                first, last = milestone_episodes(section, number)
+                if len(ours := section.scores(agent, first, last)):
+                    row |= {"training games": f"{first:,} to {last:,}", "our score": ours.mean()}
+                    if whole:
+                        row["source report's"] = source[section.params.experiment][agent][
+                            number - 1
+                        ]
+                    break
+            if len(played := section.evaluations):
+                row["evaluated"] = played[played.agent == agent].score.mean()
+            rows.append(row)
+    numbers = dict.fromkeys(("our score", "source report's", "evaluated"), float)
+    return pd.DataFrame(rows).astype(numbers)
 
 
 def conclusion(study: Study) -> str:
@@ -595,29 +569,6 @@ def values_reading(section: Section) -> str:
             f"{last.episode:,.0f} games"
         )
     return f"{'; '.join(said)}."
-
-
-DISCUSSED = {"Boxing": "@sec-why", "Breakout": "@sec-why-breakout"}  # why ours are others
-
-
-def beside_source(section: Section) -> str:
-    """The scores of the source report beside ours, at the last milestone that both have; empty if
-    there is none."""
-    source, said = data("source_report"), dict[str, list[str]]()
-    theirs = source.get(section.params.experiment, {})
-    for agent, milestones in theirs.items() if section.params.episodes == MILESTONES[-1] else ():
-        for milestone, score in reversed(list(zip(source["milestones"], milestones, strict=True))):
-            first = milestone - section.milestone_window + 1
-            ours = section.scores(agent, first, milestone)
-            if score is not None and len(ours):
-                which = f"over games {first:,} to {milestone:,}"
-                both = f"{params.title(agent)} {ours.mean():.1f} and {score:.1f}"
-                said.setdefault(which, []).append(both)
-                break
-    if not said:
-        return ""
-    listed = "; ".join(f"{which}, {', '.join(agents)}" for which, agents in said.items())
-    return f"Our scores and the source report's: {listed} (see {DISCUSSED[section.facts.title]})."
 
 
 OBJECTIVES = {

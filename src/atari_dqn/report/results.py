@@ -17,6 +17,7 @@ from atari_dqn.analysis.study import (
     FEW_OPENINGS,
     FRAMES_PER_MINUTE,
     Section,
+    Study,
     data,
     openings,
     spelled,
@@ -147,6 +148,25 @@ def show_milestones(section: Section) -> None:
     )
 
 
+def show_scores(study: Study) -> None:
+    """The agents with the final settings of both games, in one table."""
+    table = summaries.scores(study)
+    if table["our score"].isna().all():
+        show_placeholders("tbl-scores")
+        return
+    game = table.game.where(~table.game.duplicated(), "")
+    facts = [study[name].facts for name in ("boxing_final", "breakout_final")]
+    people = " and ".join(f"{one.human:g} in {one.title}" for one in facts)
+    show_table(
+        table.assign(game=game),
+        label="tbl-scores",
+        caption="Points per game while training, with exploration (the mean of the training games "
+        "given, at most the last 500), the source report's over the same games, and ours evaluated "
+        f"after training, without. A human tester scores {people} [@dqnzoo2020].",
+        decimals=1,
+    )
+
+
 def show_beside(section: Section, reference: Section) -> None:
     """Training scores beside those of another experiment over the same games."""
     label, rows = f"tbl-{section.slug}-beside", []
@@ -197,68 +217,61 @@ def _rank(agents: pd.Series) -> pd.Series:
 
 
 def show_evaluations(section: Section) -> None:
-    """The evaluation games of every finished run, with an interval over the games played."""
-    figure, table = f"fig-{section.slug}-evaluation", f"tbl-{section.slug}-evaluation"
+    """The scores of the evaluation games of every finished run, played as it was trained."""
+    label, p = f"fig-{section.slug}-evaluation", section.params
     if section.evaluations.empty:
         if not section.episodes.empty:
             show_text("*No agent has been evaluated yet.*")
-        show_placeholders(figure, table)
+        show_placeholders(label)
         return
     games = section.evaluations.groupby(["agent", "seed"]).size().min()
-    p = section.params
     show_figure(
         plots.score_distributions(
             section.evaluations, section.facts if section.default_difficulty else None
         ),
-        label=figure,
+        label=label,
         caption=f"{section.title}: scores of the evaluation games "
         f"({games} per run; {p.evaluation_epsilon:.1%} of the actions are random). Diamonds: the "
         "mean of each run, with its 95% interval (Student's t) over openings if these are many.",
         alt=f"Dots for each agent's evaluation scores in {section.facts.title}, and their means.",
         data=section.origin + "evaluations.csv",
     )
-    rows = [
-        _evaluated(section, str(agent), int(seed), games)
-        for (agent, seed), games in section.evaluations.groupby(["agent", "seed"], sort=False)
-    ]
-    guessed = section.random_play
-    if not guessed.empty:
-        rows.append({"agent": "random play", "games": len(guessed), **_summary(section, guessed)})
-    show_table(
-        pd.DataFrame(rows).astype({"seed": "Int64", "training games": "Int64"}),
-        label=table,
-        caption=f"{section.title}: evaluation games at difficulty {p.difficulty}. "
-        f"{_about_intervals(section)}",
-        decimals=1,
-    )
 
 
 def show_conditions(section: Section) -> None:
-    """The evaluation games at other difficulties, and with sticky actions."""
-    label, p = f"tbl-{section.slug}-conditions", section.params
-    played, keys = section.all_evaluations, ["agent", "seed", "difficulty", "sticky_actions"]
-    if not played.empty:
-        played = played[played.epsilon == p.evaluation_epsilon]
-    if played.empty or len(played[keys[2:]].drop_duplicates()) < 2:
+    """The evaluation of every finished run, as it was trained and otherwise, beside random play."""
+    label, p = f"tbl-{section.slug}-evaluation", section.params
+    played, guessed = section.all_evaluations, section.random_play
+    if played.empty:
         show_placeholders(label)
         return
-    rows = []
-    for (agent, seed, difficulty, sticky), games in played.groupby(keys, sort=False):
-        rows.append(
-            {
-                "agent": params.title(str(agent)),
-                "seed": int(seed),
-                "difficulty": int(difficulty),
-                "sticky": f"{sticky:g}",
-                **_summary(section, games),
-            }
-        )
+    played = played[played.epsilon == p.evaluation_epsilon].assign(
+        agent=played.agent.map(params.title)
+    )
+    if len(guessed):  # of no run
+        played = pd.concat([played, guessed.assign(agent="random play", seed=-1, trained_games=-1)])
+    keys = ["agent", "seed", "trained_games", "difficulty", "sticky_actions"]
+    names = ["agent", "seed", "training games", "difficulty", "sticky"]
+    rows = [
+        dict(zip(names, key, strict=True)) | _summary(section, games)
+        for key, games in played.groupby(keys, sort=False)
+    ]
+    table = pd.DataFrame(rows)
+    for name in ("seed", "training games"):
+        table[name] = table[name].astype("Int64").where(table[name] >= 0)
+    table["sticky"] = table.sticky.map("{:g}".format)
+    trained = " and ".join(f"{games:,}" for games in table["training games"].dropna().unique())
+    alike = [name for name in names[1:] if table[name].nunique() == 1]
+    apart = [STICKY] if (table.sticky != "0").any() else []
+    if len(guessed):
+        apart.append("for random play")
     show_table(
-        pd.DataFrame(rows),
+        table.drop(columns=alike),
         label=label,
-        caption=f"{section.title}: evaluation games, also under conditions "
-        f"other than those of training, which were difficulty {p.difficulty} and a probability "
-        f"of sticky actions of {p.sticky_actions:g}. {_about_intervals(section)}",
+        caption=f"{section.title}: evaluation games after {trained} games of training, which was "
+        f"at difficulty {p.difficulty} with a probability of sticky actions of "
+        f"{p.sticky_actions:g}. "
+        f"{_about_intervals(section, *apart)}",
         decimals=1,
     )
 
@@ -289,16 +302,6 @@ def show_discounts(sections: list[Section], agent: str, label: str) -> None:
     )
 
 
-def _evaluated(section: Section, agent: str, seed: int, games: pd.DataFrame) -> dict:
-    return {
-        "agent": params.title(agent),
-        "seed": seed,
-        "training games": int(games.trained_games.max()),
-        "games": len(games),
-        **_summary(section, games),
-    }
-
-
 def _interval(games: pd.DataFrame) -> str:
     """Of the mean score of games (columns score and opening); a dash for a single opening, and of
     few openings, all of which are played, the range of their means."""
@@ -310,22 +313,23 @@ def _interval(games: pd.DataFrame) -> str:
     return "{:.1f} to {:.1f}".format(*cluster_interval(games.score, games.opening))
 
 
-def _about_intervals(section: Section) -> str:
-    """What `_interval` gives, as captions tell it."""
+def _about_intervals(section: Section, *apart: str) -> str:
+    """What `_interval` gives, as captions tell it; `apart` are the rows in which no two games are
+    alike."""
     if section.facts.idle_cycle is None:
-        openings = "Intervals are over openings"
+        said = "Each opening with all of its games counts once in a 95% interval"
     else:
-        openings = "A range is that of the openings' means"
-    return (
-        f"{openings}; with sticky actions and of random play, an interval is over games (Student's "
-        "t). None is over seeds."
-    )
+        said = "A range is that of the openings' means"
+    if apart:
+        said += f"; {' and '.join(apart)}, each game does"
+    return f"{said}. Nothing follows for other seeds."
 
 
 def _summary(section: Section, games: pd.DataFrame) -> dict:
     """Mean score, interval, and in Boxing the shares of wins and of knock-outs, and how long the
     agent needs for one."""
-    row = {"mean score": games.score.mean(), "95% interval": _interval(games)}
+    heading = "95% interval" if section.facts.idle_cycle is None else "95% interval, or range"
+    row = {"games": len(games), "mean score": games.score.mean(), heading: _interval(games)}
     if section.facts.score_cells is not None:
         row["won"] = f"{games.won.mean():.0%}"
         knocked_out = games[games.knockout == 1]
@@ -537,6 +541,7 @@ def show_places(section: Section) -> dict[str, dict[int, np.ndarray]]:
     return found
 
 
+STICKY = "with sticky actions"
 BLINDLY = "the best game's moves, blindly"
 OPENINGS = (500, 100)  # training games, and agent steps from their start, that are compared
 
@@ -558,7 +563,8 @@ def show_robustness(section: Section) -> None:
         },
         "scoreboard frozen": _under(section, robustness.SCOREBOARD),
         "left and right exchanged": _under(section, robustness.MIRRORED),
-        "the same below the scoreboard": _under(section, robustness.FIELD),
+        "the same in the field alone": _under(section, robustness.FIELD),
+        "what is about the field exchanged": _under(section, robustness.EDGES),
         BLINDLY: _under(section, robustness.SEQUENCE),
     }
     for agent, seed in played[["agent", "seed"]].drop_duplicates().itertuples(index=False):
@@ -582,7 +588,7 @@ def show_robustness(section: Section) -> None:
         caption=f"{section.title}: greedy games of finished agents under "
         "conditions that they were trained for (first) and that they were not. A frozen scoreboard "
         "shows score and clock, or lives, as in a game's first picture. The best evaluation game's "
-        f"moves are made in every other opening. {_about_intervals(section)}",
+        f"moves are made in every other opening. {_about_intervals(section, STICKY)}",
         decimals=1,
     )
     games, steps = OPENINGS
@@ -592,9 +598,8 @@ def show_robustness(section: Section) -> None:
         if run.robustness.exists()
     ]
     show_text(
-        f"The share of the last {games} training games of {section.facts.title} whose first "
-        f"{steps} actions are also those of another of them: {', '.join(said)}. This alone proves "
-        "little, since the weights change from game to game, and some moves are random."
+        f"Of the last {games} training games of {section.facts.title}, so many have their first "
+        f"{steps} actions in common with another one: {', '.join(said)}."
     )
 
 

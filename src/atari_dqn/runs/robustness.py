@@ -3,7 +3,8 @@ never met:
 
     sequence    the moves of its best evaluation game, made blindly in every other opening
     mirrored    left and right exchanged, in what it sees and in what it does
-    field       the same, but it sees score and clock, or lives, as they are
+    field       the same, but in what it sees only in the ring, or between the walls
+    edges       in what it sees alone, and only about the ring, or the walls, below the scoreboard
     scoreboard  score and clock, or lives, as in the first picture, in what it sees
 
 Sticky actions, the third such condition, are a part of every final evaluation.
@@ -31,7 +32,8 @@ if TYPE_CHECKING:
     from atari_dqn.evaluation import Player
 
 EXPERIMENTS = ("boxing_final", "breakout_final")  # whose agents are put to it
-SEQUENCE, MIRRORED, FIELD, SCOREBOARD = "sequence", "mirrored", "field", "scoreboard"
+SEQUENCE, MIRRORED, FIELD, EDGES = "sequence", "mirrored", "field", "edges"
+SCOREBOARD = "scoreboard"
 
 
 @dataclass(frozen=True)
@@ -64,6 +66,7 @@ def measure(run: Run) -> None:
         SEQUENCE: _sequence(run, trained),
         MIRRORED: _changed(run, trained, MIRRORED, mirrored),
         FIELD: _changed(run, trained, FIELD, field_mirrored),
+        EDGES: _changed(run, trained, EDGES, edges_mirrored),
         SCOREBOARD: _changed(run, trained, SCOREBOARD, scoreboard_frozen),
     }
     missing = [trials for name, trials in conditions.items() if name not in set(table.condition)]
@@ -140,9 +143,11 @@ def _changed(
         yield Trial(condition, game.game, game.score, game.length, trained)
 
 
-def mirrored(player: "Player", params: Parameters, first_row: int = 0) -> "Player":
-    """The player in a world where left is right: it sees the mirror image, from some row of it
-    down, and its moves are made the other way round."""
+def mirrored(
+    player: "Player", params: Parameters, field: tuple[slice, slice] = (slice(None), slice(None))
+) -> "Player":
+    """The player in a world where left is right: it sees the mirror image of the rows and columns
+    of `field`, by default of all, and its moves are made the other way round."""
     names = [action.name for action in make_env(params).actions]
     exchange = {"LEFT": "RIGHT", "RIGHT": "LEFT"}
     opposite = [re.sub("LEFT|RIGHT", lambda side: exchange[side[0]], name) for name in names]
@@ -150,15 +155,35 @@ def mirrored(player: "Player", params: Parameters, first_row: int = 0) -> "Playe
 
     def play(observations: np.ndarray) -> np.ndarray:
         seen = observations.copy()  # [games, height, width, stack]
-        seen[:, first_row:] = observations[:, first_row:, ::-1]
+        seen[:, *field] = observations[:, *field][:, :, ::-1]
         return player(seen)[:, moves]
 
     return play
 
 
 def field_mirrored(player: "Player", params: Parameters) -> "Player":
-    """The same, but score and clock, or lives, are seen as they are."""
-    return mirrored(player, params, GAMES[params.game].scoreboard)
+    """The same, but what is about the field, which is not alike on both sides, is seen as it is."""
+    return mirrored(player, params, _field(params))
+
+
+def edges_mirrored(player: "Player", params: Parameters) -> "Player":
+    """The player that sees the mirror image of what is about the field and below the scoreboard, in
+    which nothing moves. It sees the field as it is, and its moves are its own."""
+    field, first_row = _field(params), GAMES[params.game].scoreboard
+
+    def play(observations: np.ndarray) -> np.ndarray:
+        seen = observations.copy()  # [games, height, width, stack]
+        seen[:, first_row:] = observations[:, first_row:, ::-1]
+        seen[:, *field] = observations[:, *field]
+        return player(seen)
+
+    return play
+
+
+def _field(params: Parameters) -> tuple[slice, slice]:
+    field = GAMES[params.game].field
+    assert field is not None, params.game  # there is one in the games of EXPERIMENTS
+    return field
 
 
 def scoreboard_frozen(player: "Player", params: Parameters) -> "Player":
