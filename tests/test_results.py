@@ -638,14 +638,14 @@ def test_a_finished_agents_score_stands_beside_those_under_conditions_it_has_nev
         ("DQN", "as trained", "40", "80.0"),
         ("DQN", "sticky actions, 0.25", "40", "60.0"),
         ("DQN", "left and right exchanged", "100", "30.0"),
-        ("DQN", "the same in the field alone", "100", "35.0"),
-        ("DQN", "what is about the field exchanged", "100", "45.0"),
+        ("DQN", "in the field alone", "100", "35.0"),
+        ("DQN", "everywhere but there", "100", "45.0"),
         ("DQN", "the best game's moves, blindly", "29", "10.0"),
         ("Double DQN", "as trained", "40", "30.0"),
         ("Double DQN", "sticky actions, 0.25", "40", "10.0"),
         ("Double DQN", "left and right exchanged", "100", "-20.0"),
-        ("Double DQN", "the same in the field alone", "100", "-15.0"),
-        ("Double DQN", "what is about the field exchanged", "100", "-5.0"),
+        ("Double DQN", "in the field alone", "100", "-15.0"),
+        ("Double DQN", "everywhere but there", "100", "-5.0"),
         ("Double DQN", "the best game's moves, blindly", "29", "-40.0"),
     ]
     for row in table:
@@ -657,6 +657,35 @@ def test_a_finished_agents_score_stands_beside_those_under_conditions_it_has_nev
             assert high - low == pytest.approx(2 * 1.96 * (2 / 3 / 29) ** 0.5, abs=0.12)
     said = ["DQN", 80, "Double DQN", 50]  # four of five begin alike, and two of four
     assert facts(shown.texts[-1]) == [500, 100, *said]
+
+
+def test_views_are_of_one_moment_each_exchanged_elsewhere_over_the_scores_there(tmp_path, shown):
+    run = store(tmp_path, "boxing_final", DQN, np.full(3000, 5.0))
+    results.show_views(study(tmp_path)["boxing_final"])
+    assert not shown.figures
+    evaluate(run, 1, score=80.0)
+    heading = {"kind": "evaluation", "trained_games": 3000, "difficulty": 0, "sticky_actions": 0.0}
+    heading |= {"epsilon": 0.001, "seed": 1, "game": 0}
+    run.robustness.parent.mkdir(parents=True)
+    means = {"mirrored": -10.0, "field": 20.0, "edges": 30.0}
+    pd.DataFrame(
+        {"condition": name, "game": game, "score": mean, "length": 9, "trained_games": 3000}
+        for name, mean in means.items()
+        for game in range(100)
+    ).to_csv(run.robustness, index=False)
+    played = EpisodeRecord(3, bytes([9] * 4), None)  # four steps, the first of which is made
+    record(run, (heading, played))
+    results.show_views(study(tmp_path)["boxing_final"])
+    panels = shown.figures["fig-boxing-final-views"].axes
+    said = [axes.get_xlabel() for axes in panels]
+    assert [numbers(text)[0] for text in said] == [pytest.approx(80, abs=1), -10, 20, 30]
+    plain, whole, field, edges = (axes.images[0].get_array() for axes in panels)
+    game, _ = records.begin(run.params, played)
+    np.testing.assert_array_equal(plain, game.step(9)[0])
+    np.testing.assert_array_equal(whole, plain[:, ::-1])
+    np.testing.assert_array_equal(field[10:70, 14:70], whole[10:70, 14:70])
+    np.testing.assert_array_equal(edges[10:70, 14:70], plain[10:70, 14:70])
+    np.testing.assert_array_equal(edges[10:, :14], whole[10:, :14])
 
 
 def test_repeated_openings_count_idle_frames_and_no_more_than_the_games_and_steps_asked_for(

@@ -123,45 +123,37 @@ def test_a_mirrored_player_sees_and_moves_the_other_way_round(small):
         return names[int(player(picture)[0].argmax())]
 
     picture = np.zeros((1, 84, 84, 4), np.uint8)
-    picture[:, :, 60:] = 200
+    picture[:, 20:60, 60:68] = 200  # in the ring
     assert move(player, picture) == "LEFTFIRE"
-    bent = robustness.mirrored(lambda seen: player(seen[:, :, ::-1]), parameters)
-    assert move(bent, picture) == "RIGHTFIRE"  # sees the picture itself, but moves are exchanged
-    assert move(robustness.mirrored(player, parameters), picture) == "LEFTFIRE"
-    twice = robustness.mirrored(robustness.mirrored(player, parameters), parameters)
-    np.testing.assert_array_equal(twice(picture), player(picture))
+    for condition in ("mirrored", "field"):
+        seeing = robustness.changed(player, parameters, condition)
+        assert move(seeing, picture) == "LEFTFIRE", "right of its mirror image is left"
+        bent = robustness.changed(lambda seen: player(seen[:, :, ::-1]), parameters, condition)
+        assert move(bent, picture) == "RIGHTFIRE"  # sees the picture, but moves are exchanged
+    for condition in ("edges", "scoreboard"):
+        assert move(robustness.changed(player, parameters, condition), picture) == "LEFTFIRE"
 
 
-@pytest.mark.parametrize("game", ["boxing", "breakout"])
-def test_a_field_is_mirrored_and_nothing_about_it(small, game):
-    parameters, seen = small(game=game), []
-    moves = np.eye(len(make_env(parameters).actions))[-1:]  # one to the left
-    rng = np.random.default_rng(0)
-    picture = rng.integers(0, 255, (1, 84, 84, 4), np.uint8)
-    before = picture.copy()
-    play = robustness.field_mirrored(lambda given: seen.append(given) or moves, parameters)
-    exchanged = robustness.mirrored(lambda given: moves, parameters)
-    np.testing.assert_array_equal(play(picture), exchanged(picture))
-    np.testing.assert_array_equal(picture, before)
-    field = np.zeros((84, 84), bool)
-    field[GAMES[game].field] = True
-    np.testing.assert_array_equal(field, field[:, ::-1])
-    np.testing.assert_array_equal(seen[0][:, ~field], before[:, ~field])
-    np.testing.assert_array_equal(seen[0][:, field], before[:, :, ::-1][:, field])
+def pictures():
+    """Random ones, that differ in every game, place and image."""
+    return np.random.default_rng(0).integers(0, 255, (2, 84, 84, 4), np.uint8)
 
 
+# What is exchanged, of an observation's rows and columns: the field, or all else below a scoreboard
 @pytest.mark.parametrize(("game", "rows"), [("boxing", 10), ("breakout", 6)])
-def test_edges_are_mirrored_about_a_field_and_under_a_scoreboard_as_they_are(small, game, rows):
-    seen = []
-    picture = np.random.default_rng(0).integers(0, 255, (1, 84, 84, 4), np.uint8)
+@pytest.mark.parametrize("condition", ["mirrored", "field", "edges"])
+def test_a_view_exchanges_left_and_right_where_it_says(small, game, rows, condition):
+    picture, field, edges = pictures(), np.zeros((84, 84), bool), np.zeros((84, 84), bool)
+    field[GAMES[game].field] = True
+    edges[rows:] = True
+    edges &= ~field
+    where = {"mirrored": np.ones_like(field), "field": field, "edges": edges}[condition]
     before = picture.copy()
-    play = robustness.edges_mirrored(lambda given: seen.append(given) or "moves", small(game=game))
-    assert play(picture) == "moves"
+    seen = robustness.VIEWS[condition](small(game=game))(picture)
     np.testing.assert_array_equal(picture, before)
-    kept = np.zeros((84, 84), bool)
-    kept[:rows] = kept[GAMES[game].field] = True
-    np.testing.assert_array_equal(seen[0][:, kept], before[:, kept])
-    np.testing.assert_array_equal(seen[0][:, ~kept], before[:, :, ::-1][:, ~kept])
+    np.testing.assert_array_equal(seen[:, ~where], before[:, ~where])
+    np.testing.assert_array_equal(seen[:, where], before[:, :, ::-1][:, where])
+    np.testing.assert_array_equal(field, field[:, ::-1])
 
 
 @pytest.mark.parametrize("game", ["boxing", "breakout"])
@@ -170,33 +162,34 @@ def test_all_that_moves_under_the_scoreboard_is_in_the_field_and_that_is_alike_o
 ):
     env = make_env(small(game=game))
     first = env.reset(seed=1)[0]
-    pictures = np.array([env.step(step % len(env.actions))[0] for step in range(150)])
+    played = np.array([env.step(step % len(env.actions))[0] for step in range(150)])
     facts = GAMES[game]
-    moving = (pictures != first).any(axis=0)
+    moving = (played != first).any(axis=0)
     assert moving[facts.field].any()
     moving[facts.field] = False
     assert not moving[facts.scoreboard :].any()
-    empty = np.median(pictures, axis=0)[facts.field]  # where neither a boxer nor the ball stays
-    assert (empty != empty[:, ::-1]).mean() < 0.15
+    empty = np.median(played, axis=0)[facts.field]  # where neither a boxer nor the ball stays
     edge = empty[:, [0, 1, -2, -1]]
-    np.testing.assert_allclose(edge, edge[:, ::-1], atol=10)  # the feet shine in a little
+    np.testing.assert_allclose(edge, edge[:, ::-1], atol=10)  # the walls' feet shine in a little
+    about = first[facts.scoreboard :].astype(int)
+    unlike = np.abs(about - about[:, ::-1])[:, : facts.field[1].start]
+    assert (unlike.max() > 90) == (game == "boxing"), "it has a black bar at the left edge alone"
 
 
 @pytest.mark.parametrize(("game", "rows"), [("boxing", 10), ("breakout", 6)])
 def test_a_frozen_scoreboard_is_the_first_pictures_and_all_else_is_seen(small, game, rows):
-    parameters, seen = small(game=game), []
-    env = make_env(parameters)
+    env = make_env(small(game=game))
     first = env.reset(seed=1)[0]
     for step in range(80):
         picture = env.step(step % len(env.actions))[0]
     assert (picture[:rows] != first[:rows]).any(), "the scoreboard changes with the game"
     stacked = np.repeat(picture[None, :, :, None], 4, axis=3)
     before = stacked.copy()
-    robustness.scoreboard_frozen(lambda given: seen.append(given) or given, parameters)(stacked)
+    seen = robustness.VIEWS["scoreboard"](small(game=game))(stacked)
     np.testing.assert_array_equal(stacked, before)
     for plane in range(4):
-        np.testing.assert_array_equal(seen[0][0, :rows, :, plane], first[:rows])
-        np.testing.assert_array_equal(seen[0][0, rows:, :, plane], picture[rows:])
+        np.testing.assert_array_equal(seen[0, :rows, :, plane], first[:rows])
+        np.testing.assert_array_equal(seen[0, rows:, :, plane], picture[rows:])
 
 
 def test_a_condition_that_is_missing_is_added_and_the_others_are_not_played_again(run):

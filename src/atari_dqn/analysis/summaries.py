@@ -106,7 +106,10 @@ def headline(study: Study) -> str:
     else:
         text = _scored(section, found)
     testable, judged = _judged(verdicts)
-    claims = f"The source report makes {testable} claims that can be tested by training"
+    claims = (
+        f"Of the source report's {len(verdicts)} claims about training, the planned runs can test "
+        f"{testable}"
+    )
     if judged.empty:
         claims += "; none has been judged yet."
     else:
@@ -264,12 +267,12 @@ def board(study: Study) -> str:
         kind = f'.{found.outcome.name.lower()} verdict="{found.verdict}"'
         tiles.append(f"::: {{.tile {kind}}}\n" + "\n\n".join(filter(None, lines)) + "\n:::")
     said = "; ".join(
-        f"{word}: {_listed(others[outcome])}"
-        for outcome, word in ((Outcome.OPEN, "still open"), (Outcome.UNTESTED, "not tested"))
+        f"{word} {_listed(others[outcome])}"
+        for outcome, word in ((Outcome.OPEN, "open"), (Outcome.UNTESTED, "not tested"))
         if outcome in others
     )
     board = "::: {.board}\n" + "\n\n".join(tiles) + "\n:::" if tiles else ""
-    rest = f"Claims of @tbl-findings {said}." if said else ""
+    rest = f"Claims of @tbl-findings without a tile: {said}." if said else ""
     return "\n\n".join(filter(None, (board, rest)))
 
 

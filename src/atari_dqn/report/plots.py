@@ -592,3 +592,15 @@ def preprocessing(games: list[str]) -> Figure:
     for start, end in pairwise(places):
         arrow(start + 0.72, end - 0.6, lane, "")
     return figure
+
+
+def views(pictures: dict[str, np.ndarray], said: dict[str, str]) -> Figure:
+    """Small pictures, uint8 [84, 84], side by side, each with its title and what is said of it."""
+    figure, panels = plt.subplots(1, len(pictures), figsize=(WIDTH, 2.3))
+    for axes, (title, picture) in zip(panels, pictures.items(), strict=True):
+        axes.imshow(picture, cmap="gray", vmin=0, vmax=255)
+        axes.set(xticks=[], yticks=[])
+        axes.set_title(title, fontsize="small")
+        axes.set_xlabel(said[title], fontsize="small", color=INK)
+    figure.tight_layout()
+    return figure

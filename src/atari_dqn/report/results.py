@@ -33,7 +33,7 @@ from atari_dqn.report.outputs import (
     show_table,
     show_text,
 )
-from atari_dqn.runs import robustness, styles
+from atari_dqn.runs import records, robustness, styles
 from atari_dqn.runs.styles import AGENT
 
 
@@ -542,8 +542,50 @@ def show_places(section: Section) -> dict[str, dict[int, np.ndarray]]:
 
 
 STICKY = "with sticky actions"
+EXCHANGES = {
+    robustness.MIRRORED: "left and right exchanged",
+    robustness.FIELD: "in the field alone",
+    robustness.EDGES: "everywhere but there",
+}
 BLINDLY = "the best game's moves, blindly"
 OPENINGS = (500, 100)  # training games, and agent steps from their start, that are compared
+
+
+def show_views(section: Section) -> None:
+    """What a finished agent sees where left and right are exchanged, and what the agents score."""
+    label, trials = f"fig-{section.slug}-views", section.robustness
+    if trials.empty:
+        show_placeholders(label)
+        return
+    (run, *_) = (run for run in section.usable if run.agent == trials.agent[0])
+    record = robustness.best_game(run, int(trials.trained_games[0]))
+    game, image = records.begin(run.params, record)
+    for action in record.actions[: len(record.actions) // 4]:
+        image = game.step(action)[0]
+    seen = {"as it is": image} | {
+        name: robustness.VIEWS[condition](run.params)(image[None, :, :, None])[0, :, :, 0]
+        for condition, name in EXCHANGES.items()
+    }
+    scores = {"as it is": section.evaluations} | {
+        name: _under(section, condition) for condition, name in EXCHANGES.items()
+    }
+    said = {
+        name: "\n".join(
+            f"{params.title(str(agent))} {mean:.1f}".replace("-", "−")
+            for agent, mean in games.groupby("agent", sort=False).score.mean().items()
+            if agent in set(trials.agent)
+        )
+        for name, games in scores.items()
+    }
+    show_figure(
+        plots.views(seen, said),
+        label=label,
+        caption=f"{section.title}: the same moment of a game with left and right exchanged in "
+        "different parts of the picture, and the mean score under each. Where the field is "
+        "exchanged, so are the actions.",
+        alt="Four small pictures of one moment, each with left and right exchanged elsewhere.",
+        data=section.origin,
+    )
 
 
 def show_robustness(section: Section) -> None:
@@ -562,9 +604,7 @@ def show_robustness(section: Section) -> None:
             for chance in p.evaluation_stickiness
         },
         "scoreboard frozen": _under(section, robustness.SCOREBOARD),
-        "left and right exchanged": _under(section, robustness.MIRRORED),
-        "the same in the field alone": _under(section, robustness.FIELD),
-        "what is about the field exchanged": _under(section, robustness.EDGES),
+        **{name: _under(section, condition) for condition, name in EXCHANGES.items()},
         BLINDLY: _under(section, robustness.SEQUENCE),
     }
     for agent, seed in played[["agent", "seed"]].drop_duplicates().itertuples(index=False):

@@ -62,13 +62,8 @@ def measure(run: Run) -> None:
     table = (
         stored[stored.trained_games == trained] if len(stored) else pd.DataFrame(columns=columns)
     )
-    conditions = {
-        SEQUENCE: _sequence(run, trained),
-        MIRRORED: _changed(run, trained, MIRRORED, mirrored),
-        FIELD: _changed(run, trained, FIELD, field_mirrored),
-        EDGES: _changed(run, trained, EDGES, edges_mirrored),
-        SCOREBOARD: _changed(run, trained, SCOREBOARD, scoreboard_frozen),
-    }
+    conditions = {SEQUENCE: _sequence(run, trained)}
+    conditions |= {name: _changed(run, trained, name) for name in VIEWS}
     missing = [trials for name, trials in conditions.items() if name not in set(table.condition)]
     if not missing:
         return
@@ -129,55 +124,76 @@ def play_blindly(env: AtariEnv, moves: bytes) -> None:
             return
 
 
-def _changed(
-    run: Run, trained: int, condition: str, change: Callable[["Player", Parameters], "Player"]
-) -> Iterator[Trial]:
+def _changed(run: Run, trained: int, condition: str) -> Iterator[Trial]:
     from atari_dqn import evaluation
     from atari_dqn.runs import models
 
     network = models.load_model(run.folder / "model.safetensors", run.params)
-    player = change(evaluation.player_of(network, run.params), run.params)
+    player = changed(evaluation.player_of(network, run.params), run.params, condition)
     games = run.params.evaluation_games
     playing = evaluation.play(player, run.params, games, run.seed)
     for game in tqdm(playing, total=games, desc=f"{condition}: {run.name}", mininterval=2):
         yield Trial(condition, game.game, game.score, game.length, trained)
 
 
-def mirrored(
-    player: "Player", params: Parameters, field: tuple[slice, slice] = (slice(None), slice(None))
-) -> "Player":
-    """The player in a world where left is right: it sees the mirror image of the rows and columns
-    of `field`, by default of all, and its moves are made the other way round."""
+def changed(player: "Player", params: Parameters, condition: str) -> "Player":
+    """The player under a condition: it sees what the condition's view leaves, and where left is
+    right its moves are made the other way round."""
+    view = VIEWS[condition](params)
     names = [action.name for action in make_env(params).actions]
-    exchange = {"LEFT": "RIGHT", "RIGHT": "LEFT"}
-    opposite = [re.sub("LEFT|RIGHT", lambda side: exchange[side[0]], name) for name in names]
-    moves = [names.index(name) for name in opposite]
-
-    def play(observations: np.ndarray) -> np.ndarray:
-        seen = observations.copy()  # [games, height, width, stack]
-        seen[:, *field] = observations[:, *field][:, :, ::-1]
-        return player(seen)[:, moves]
-
-    return play
+    exchange = {"LEFT": "RIGHT", "RIGHT": "LEFT"} if condition in EXCHANGED else {}
+    made = [re.sub("LEFT|RIGHT", lambda side: exchange.get(side[0], side[0]), n) for n in names]
+    moves = [names.index(name) for name in made]
+    return lambda observations: player(view(observations))[:, moves]
 
 
-def field_mirrored(player: "Player", params: Parameters) -> "Player":
-    """The same, but what is about the field, which is not alike on both sides, is seen as it is."""
-    return mirrored(player, params, _field(params))
+# ---- What is seen instead of observations, uint8 [games, height, width, stack] -------------------
+
+View = Callable[[np.ndarray], np.ndarray]
 
 
-def edges_mirrored(player: "Player", params: Parameters) -> "Player":
-    """The player that sees the mirror image of what is about the field and below the scoreboard, in
-    which nothing moves. It sees the field as it is, and its moves are its own."""
-    field, first_row = _field(params), GAMES[params.game].scoreboard
+def mirrored(params: Parameters) -> View:
+    """The mirror image."""
+    return lambda observations: observations[:, :, ::-1]
 
-    def play(observations: np.ndarray) -> np.ndarray:
-        seen = observations.copy()  # [games, height, width, stack]
+
+def field_mirrored(params: Parameters) -> View:
+    """The mirror image of the field, in which alone something moves, and all about it as it is."""
+    rows, columns = _field(params)
+
+    def view(observations: np.ndarray) -> np.ndarray:
+        seen = observations.copy()
+        seen[:, rows, columns] = observations[:, rows, columns][:, :, ::-1]
+        return seen
+
+    return view
+
+
+def edges_mirrored(params: Parameters) -> View:
+    """The mirror image of what is about the field, in which nothing moves, and the field and the
+    scoreboard as they are."""
+    (rows, columns), first_row = _field(params), GAMES[params.game].scoreboard
+
+    def view(observations: np.ndarray) -> np.ndarray:
+        seen = observations.copy()
         seen[:, first_row:] = observations[:, first_row:, ::-1]
-        seen[:, *field] = observations[:, *field]
-        return player(seen)
+        seen[:, rows, columns] = observations[:, rows, columns]
+        return seen
 
-    return play
+    return view
+
+
+def scoreboard_frozen(params: Parameters) -> View:
+    """Score and clock, or lives, as in a game's first picture."""
+    rows = GAMES[params.game].scoreboard
+    first = make_env(params).reset(seed=0)[0][:rows]
+
+    def view(observations: np.ndarray) -> np.ndarray:
+        seen = observations.copy()
+        seen[:, :rows] = first[:, :, None]
+        return seen
+
+    return view
 
 
 def _field(params: Parameters) -> tuple[slice, slice]:
@@ -186,14 +202,10 @@ def _field(params: Parameters) -> tuple[slice, slice]:
     return field
 
 
-def scoreboard_frozen(player: "Player", params: Parameters) -> "Player":
-    """The player that sees score and clock, or lives, as they are in a game's first picture."""
-    game, rows = make_env(params), GAMES[params.game].scoreboard
-    first = game.reset(seed=0)[0][:rows]
-
-    def play(observations: np.ndarray) -> np.ndarray:
-        seen = observations.copy()  # [games, height, width, stack]
-        seen[:, :rows] = first[:, :, None]
-        return player(seen)
-
-    return play
+VIEWS = {
+    MIRRORED: mirrored,
+    FIELD: field_mirrored,
+    EDGES: edges_mirrored,
+    SCOREBOARD: scoreboard_frozen,
+}
+EXCHANGED = (MIRRORED, FIELD)  # in which the moves are, too
