@@ -311,7 +311,7 @@ def test_the_board_has_a_tile_for_every_claim_that_says_something_and_a_line_for
     assert len(untested) == 2
     assert untested == [len(FINDINGS) - 1, len(FINDINGS)], "so that the others are in a row"
     listed = f"5 to {len(FINDINGS) - 2}", ", ".join(map(str, untested))
-    assert rest == "Claims of @tbl-findings still open: {}; not tested: {}.".format(*listed)
+    assert rest == "Claims of @tbl-findings without a tile: open {}; not tested {}.".format(*listed)
 
 
 def test_an_open_claim_has_a_tile_once_there_are_scores_of_ours(tmp_path):
@@ -322,7 +322,9 @@ def test_an_open_claim_has_a_tile_once_there_are_scores_of_ours(tmp_path):
 
 
 def test_without_runs_the_board_is_a_line():
-    assert summaries.board(study(Path("nowhere"))).startswith("Claims of @tbl-findings without a tile")
+    assert summaries.board(study(Path("nowhere"))).startswith(
+        "Claims of @tbl-findings without a tile"
+    )
 
 
 def test_tiles_are_short_and_lead_to_sections_that_exist(tmp_path):
@@ -509,7 +511,7 @@ def test_how_long_an_agent_trains_is_told_of_each_run_that_there_is(tmp_path):
     store(tmp_path, "boxing_final", DQN, np.zeros(3000))
     store(tmp_path, "boxing_final", DOUBLE, np.zeros(250))
     said = summaries.duration(study(tmp_path)["boxing_final"])
-    assert facts(said) == [3000, "DQN", 3000, 30.0, "Double DQN", 250, 2.5]
+    assert facts(said) == [3000, "DQN", 3000, 3.3, "Double DQN", 250, 0.3], "of processor time"
 
 
 @pytest.mark.parametrize(

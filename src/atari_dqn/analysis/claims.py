@@ -395,13 +395,23 @@ INTERPRETATIONS = (
     ),
     Claim(
         "Expert mode is learned faster because both boxers move more slowly",
-        "3.4",
+        "additional",
         ("boxing_expert",),
         lambda study: _premise(
             all_of(
                 compare_training(study, "boxing_expert", "boxing_final", milestone=1, gain=True)
             ),
             "whether it is learned faster; no other cause is excluded",
+        ),
+    ),
+    Claim(
+        "Double and Dueling Double DQN are unstable in Breakout because double Q-learning is more "
+        "complex",
+        "3.2.3",
+        ("breakout_late",),
+        lambda study: Verdict(
+            Outcome.UNTESTED,
+            "how the three compare is claim 8 of @tbl-findings; no run varies the complexity alone",
         ),
     ),
     Claim(

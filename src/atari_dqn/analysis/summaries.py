@@ -195,19 +195,20 @@ def conclusion(study: Study) -> str:
 
 
 def duration(section: Section) -> str:
-    """How many games an experiment's agents are trained for, and the hours they have taken; empty
-    without runs."""
+    """How many games an experiment's agents are trained for, and the processor hours they have
+    taken; empty without runs."""
     if section.episodes.empty:
         return ""
     last = section.episodes.groupby(["agent", "seed"], sort=False).tail(1)
     said = [
-        f"{params.title(str(row.agent))} played {row.episode:,} games in {row.seconds / 3600:.1f} "
-        "hours"
+        f"{params.title(str(row.agent))} played {row.episode:,} games in "
+        f"{row.cpu_seconds / 3600:.1f} hours"
         for row in last.itertuples()
     ]
     return (
         f"An agent is trained for {section.params.episodes:,} games, the source report's number. "
-        f"In {section.facts.title}, on one processor core each, {_in_a_row(said)}."
+        f"In {section.facts.title} {_in_a_row(said)} of one core's time, on different processors "
+        "(@tbl-provenance)."
     )
 
 
@@ -567,7 +568,7 @@ def values_reading(section: Section) -> str:
             number += f" (95% interval of predicted less realised: {low:.1f} to {high:.1f})"
         said.append(
             f"{params.title(str(agent))}{seeds} predicts {abs(error):.1f} "
-            f"{'more' if error >= 0 else 'less'} than what follows, on average over {number}, and "
+            f"{'more' if error >= 0 else 'less'} than follows, on average over {number}, and "
             f"{last.predicted:.1f} against {last.realised:.1f} at the last, after "
             f"{last.episode:,.0f} games"
         )

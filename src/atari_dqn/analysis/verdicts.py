@@ -584,8 +584,9 @@ def _beaten_by(agent: str, played: pd.DataFrame, planned: int) -> Verdict:
         parts[difficulty] = (Mean(found.score.mean(), low, high, planned), MORE(low, high))
     hardest = min(parts, key=lambda difficulty: parts[difficulty][0].mean)
     won = sum(outcome == Outcome.YES for _, outcome in parts.values())
-    said = f"{params.title(agent)} wins at {won} of {DIFFICULTIES}, and scores least at difficulty "
-    said += f"{hardest}: {parts[hardest][0]}"
+    where = "all difficulties" if won == DIFFICULTIES else f"{won} of {DIFFICULTIES} difficulties"
+    said = f"{params.title(agent)} wins at {where}, and scores least at difficulty {hardest}: "
+    said += f"{parts[hardest][0]}"
     return all_of([Verdict(outcome, said, planned) for _, outcome in parts.values()])
 
 

@@ -130,6 +130,8 @@ def show_gpu() -> None:
     batches = runs.groupby("batch")
     together, machine = batches.speed.sum(), runs.iloc[0]
     lost = int((~runs.came_home).sum())
+    kept = project_root() / "results" / "runs"
+    anew = [one for one in runs.itertuples() if not (kept / one.experiment / one.agent).exists()]
     show_text(
         f"On an {machine.gpu}, with {machine.cores} processor cores, {batches.ngroups} batches of "
         f"{_range(batches.size())} runs were trained side by side, with "
@@ -144,6 +146,7 @@ def show_gpu() -> None:
             if lost
             else ""
         )
+        + (f" What {len(anew)} had learned was not kept, and is learned anew." if anew else "")
     )
 
 

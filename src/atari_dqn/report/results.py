@@ -171,7 +171,7 @@ def show_beside(section: Section, reference: Section) -> None:
     """Training scores beside those of another experiment over the same games."""
     label, rows = f"tbl-{section.slug}-beside", []
     last = section.params.episodes
-    spans = [(1, 50), *((first, first + 499) for first in range(1, last, 500))]
+    spans = [(1, 50), (51, 500), *((first, first + 499) for first in range(501, last, 500))]
     for agent in section.params.agents:
         for each in (section, reference):
             means = {
