@@ -40,6 +40,26 @@ def test_a_figure_has_its_caption_in_jupyter_and_once_in_the_report(monkeypatch)
     assert below.metadata["text/markdown"]["report"] == ""
 
 
+@pytest.mark.parametrize(("width", "height", "fits"), [(6.3, 9, True), (6.3, 9.2, False)])
+def test_a_figure_that_a_page_would_cut_off_is_refused(monkeypatch, width, height, fits):
+    monkeypatch.setattr(outputs, "display", lambda what, metadata: None)
+    figure = plt.figure(figsize=(width, height))
+    if fits:
+        outputs.show_figure(figure, "fig-tall", "All of it.", "A tall picture of nothing at all.")
+    else:
+        with pytest.raises(ValueError, match=r"fig-tall: 9\.2 inches"):
+            outputs.show_figure(figure, "fig-tall", "Not all of it.", "Nothing at all.")
+    plt.close(figure)
+
+
+def test_a_figure_is_as_tall_as_it_is_where_it_has_the_texts_width(monkeypatch):
+    monkeypatch.setattr(outputs, "display", lambda what, metadata: None)
+    outputs.show_figure(plt.figure(figsize=(12.6, 17)), "fig-large", "Shrunk.", "Nothing at all.")
+    with pytest.raises(ValueError, match=r"fig-narrow: 12\.0"):
+        outputs.show_figure(plt.figure(figsize=(3.15, 6)), "fig-narrow", "Stretched.", "Nothing.")
+    plt.close("all")
+
+
 def test_computed_text_reaches_the_report_as_it_was_written(monkeypatch):
     shown = {}
     monkeypatch.setattr(outputs, "display", lambda what, metadata: shown.update(metadata))

@@ -94,7 +94,11 @@ def show_figure(figure: Figure, label: str, caption: str, alt: str, data: str = 
     """Shows a figure with its caption; `label` (fig-...) is what the text refers to.
 
     `data` says which files it is drawn from. What `interactive` tells of it goes to the page.
+    Raises ValueError if it is taller than a page of the PDF, which would cut it off.
     """
+    width, height = figure.get_size_inches()
+    if (tall := plots.WIDTH * height / width) > plots.TALLEST:
+        raise ValueError(f"{label}: {tall:.1f} inches are more than a page's {plots.TALLEST:g}")
     meta: dict[str, Any] = {"label": label, "caption": caption, "alt": alt, "data": data}
     meta["curves"] = interactive.described(figure)
     display(figure, metadata={"image/svg+xml": meta})

@@ -50,6 +50,7 @@ STYLES = {
     )
 }
 WIDTH = 6.3  # inches; the text's width on paper
+TALLEST = 9.0  # inches, of a figure as wide as the text: a page holds it and its caption
 INK, SOFT = "0.2", BESIDE
 FONT = "Libertinus Serif"  # the PDF's
 FONTS = Path(__file__).parent / "fonts"
@@ -394,17 +395,17 @@ def value_errors(values: pd.DataFrame) -> Figure:
 
 
 def styles_along(styles: pd.DataFrame, measures: dict[str, str]) -> Figure:
-    """How agents play against training episodes, a panel for each measure of an even number, by
+    """How agents play against training episodes, a panel for each measure, three in a row, by
     their columns in `Section.styles`."""
-    styles, rows = drawable(styles), len(measures) // 2
-    figure, panels = plt.subplots(rows, 2, sharex=True, figsize=(WIDTH, 0.4 + 1.7 * rows))
+    styles, rows = drawable(styles), len(measures) // 3
+    figure, panels = plt.subplots(rows, 3, sharex=True, figsize=(WIDTH, 0.5 + 1.6 * rows))
     for axes, (column, title) in zip(panels.flat, measures.items(), strict=True):
         for agent in agents_of(styles):
             own = styles[styles.agent == agent].groupby("episode")[column].mean()
             name, (colour, line) = params.title(agent), STYLES[agent]
             (drawn,) = axes.plot(own.index, own, color=colour, ls=line, lw=1.6)
             named(drawn, name, value=name)
-        axes.set_title(title, fontsize="medium", loc="left")
+        axes.set_title(textwrap.fill(title, 34), fontsize="small", loc="left")
         axes.set(ylim=(0, None), xlim=(0, None))
     for axes in panels[-1]:
         axes.set_xlabel("training games")

@@ -427,8 +427,8 @@ def show_learning_style(section: Section) -> None:
         plots.styles_along(section.styles, measures),
         label=label,
         caption=f"{section.title}: how the agents play along their training, in the {VALUE_GAMES} "
-        f"greedy games after every {VALUES_PERIOD} training games: means, of what the console's "
-        "memory says.",
+        f"greedy games after every {VALUES_PERIOD} training games: means, read from the console's "
+        "memory.",
         alt=f"Panels against training games: {'; '.join(measures.values())}. A line per agent.",
         data=f"results/styles/{section.params.experiment}/",
     )
