@@ -430,6 +430,10 @@ def test_maps_of_the_ring_are_of_the_first_check_and_of_the_last(tmp_path, shown
         row, column = np.unravel_index(mesh.get_array().argmax(), (22, 20))
         assert (column, row) == (x, y)
         assert axes.yaxis_inverted()
+    caption = shown.captions["fig-boxing-final-places"]
+    assert "the stronger the colour, the longer" in caption, "dark pages turn light and dark round"
+    assert numbers(caption)[-1] == panels[0].collections[0].norm.gamma == 0.4
+    assert "not proportional" in caption
 
 
 def test_balls_of_breakout_are_told_by_their_speed_and_by_where_they_are_lost(tmp_path, shown):

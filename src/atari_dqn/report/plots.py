@@ -56,6 +56,7 @@ FONT = "Libertinus Serif"  # the PDF's
 FONTS = Path(__file__).parent / "fonts"
 SOURCE, PUBLISHED = "source report", "Dopamine"  # whose points stand beside our curves
 OURS = "ours over the same games"
+FADING = 0.4  # the power of a share of time that a map's colour follows, so that short stays show
 SEEDS_OF_A_BAND = 3  # from so many on, an interval over seeds says something
 
 
@@ -460,7 +461,7 @@ def places(stays: Mapping[str, Mapping[int, np.ndarray]]) -> Figure:
         ]
         for axes, (title, part) in zip(row, maps, strict=True):
             how = {"edgecolors": "face", "linewidth": 0.1}  # else thin lines show between cells
-            axes.pcolormesh(part.T, cmap=shade, norm=PowerNorm(0.4, vmin=0, vmax=most), **how)
+            axes.pcolormesh(part.T, cmap=shade, norm=PowerNorm(FADING, vmin=0, vmax=most), **how)
             axes.set(xticks=[], yticks=[], aspect=4 / 7)
             axes.invert_yaxis()  # as on the television
             axes.set_title(title, fontsize="small")

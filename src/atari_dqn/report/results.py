@@ -530,7 +530,8 @@ def show_places(section: Section) -> dict[str, dict[int, np.ndarray]]:
         label=label,
         caption=f"{section.title}: where the agent and its rival spend their time, in "
         f"{styles.MAPPED} greedy games each of an agent's first check and of its last, "
-        "seen from above as on the television: the darker, the longer, on one scale.",
+        "seen from above as on the television: the stronger the colour, the longer, on one scale "
+        f"that is not proportional (colours follow the share to the power of {plots.FADING:g}).",
         alt="Maps of the ring, a row per agent: the agent and its rival, early and late.",
         data=f"results/runs/{section.params.experiment}/*/*/games.jsonl.zst",
     )
