@@ -260,10 +260,13 @@ def references(axes: Axes, facts: GameFacts, labelled: bool, upright: bool = Fal
             how |= {"xytext": (0, 2), "ha": "right" if side else "left", "va": "bottom"}
         else:
             at, how["xycoords"] = (side, score), ("axes fraction", "data")
-            how |= {"xytext": (2 - 4 * side, 2 - 4 * side), "ha": "right" if side else "left"}
-            how["va"] = "top" if side else "bottom"  # marks lie above random play
-            axes.margins(y=0.09)  # room for its name
-            how |= {"path_effects": [withStroke(linewidth=2.5, foreground="white")], "zorder": 5}
+            if side:  # beside the panel: within it, a curve that has learned nothing lies there
+                text = text.replace(" ", "\n", 1)
+                how |= {"xytext": (4, 0), "ha": "left", "va": "center"}
+            else:
+                how |= {"xytext": (2, 2), "ha": "left", "va": "bottom", "zorder": 5}
+                how["path_effects"] = [withStroke(linewidth=2.5, foreground="white")]
+            axes.margins(y=0.09)  # room for the human's name
         axes.annotate(text, at, **how)
 
 
