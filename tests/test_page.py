@@ -360,6 +360,25 @@ def test_in_the_dark_drawings_lie_on_the_page_and_pictures_keep_their_colours(sh
     assert pixel(page, image, 0.62) == pytest.approx(GREEN, abs=40)
 
 
+@pytest.mark.parametrize("width", [1280, 390])
+def test_in_the_dark_nothing_light_shows_around_a_listing(show, width):
+    """Neither at its corners nor, where it is faded since there is more of it, at its edge."""
+    page = show(width=width, dark=True)
+    page.wait("document.querySelector('div.sourceCode .wide.after') !== null")
+    left, top, right, bottom = page(
+        """(() => {
+          const block = document.querySelector("div.sourceCode");
+          block.scrollIntoView({ block: "center", behavior: "instant" });
+          const box = block.getBoundingClientRect();
+          return [box.left, box.top, box.right, box.bottom].map(Math.round);
+        })()"""
+    )
+    page("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+    seen = np.asarray(Image.open(io.BytesIO(page.picture())).convert("L"))[top:bottom, left:right]
+    edges = (seen[:3], seen[-3:], seen[:12, -40:], seen[:, :3])  # a sign at the right is the page's
+    assert max(edge.max() for edge in edges) < 60
+
+
 def test_in_the_light_drawings_are_as_they_were_drawn(show):
     page = show()
     assert pixel(page, "#fig-wide img", 0.12) == (255, 255, 255)
