@@ -404,7 +404,7 @@ def _machines(sessions: list[dict[str, Any]]) -> str:
 
 def _model(processor: str) -> str:
     """A processor's name without what every such name has: its maker, and that it is one."""
-    rest = re.sub(r"\((R|TM)\)|\b(Intel|AMD|CPU|Processor|\d+-Core)\b|@.*", "", processor)
+    rest = re.sub(r"\((R|TM)\)|\b(Intel|AMD|CPU|Processor|\d+-Core)\b|@ [\d.]+GHz", "", processor)
     return " ".join(rest.split()) or processor
 
 
