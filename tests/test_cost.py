@@ -86,6 +86,23 @@ def test_every_stored_run_has_a_row_with_its_state_games_steps_hours_and_origin(
     assert second["hash"] == f"`{run.params.identity()[:8]}`"
 
 
+@pytest.mark.parametrize(
+    ("processor", "name"),
+    [
+        ("Intel(R) Xeon(R) Processor", "Xeon"),
+        ("Intel(R) Xeon(R) CPU E5-2680 v4 @ 2.40GHz", "Xeon E5-2680 v4"),
+        ("Intel(R) Core(TM) i7-9700K CPU @ 3.60GHz", "Core i7-9700K"),
+        ("AMD EPYC", "EPYC"),
+        ("AMD EPYC 7763 64-Core Processor", "EPYC 7763"),
+        ("Apple M2", "Apple M2"),
+        ("Processor", "Processor"),
+    ],
+)
+def test_a_processor_is_told_by_what_tells_it_from_others(tmp_path, processor, name):
+    run = store(tmp_path, "boxing_final", DQN, np.zeros(5), sessions=[{"processor": processor}])
+    assert analysis.run_table([run])["trained on"].tolist() == [name]
+
+
 def measured():
     """A benchmark: speeds in agent steps per second by library, agent and set-up."""
     alone, cores = "one process, 1 thread", "one process per core, 1 thread"

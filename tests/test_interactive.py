@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 from browser import running
 from matplotlib import pyplot as plt
+from PIL import Image
 
 from atari_dqn.games import GAMES
 from atari_dqn.report import build, interactive, plots
@@ -135,9 +136,13 @@ def page(tmp_path_factory):
     text = build._section(folder / "00_curves.ipynb", folder)
     build._typeset(f"# Curves {{#sec-curves}}\n\n{text}", "", folder, None)
     with running(tmp_path_factory.mktemp("browser")) as found:
-        found.open(folder / "index.html")
-        found("document.getElementById('fig-curves').scrollIntoView({behavior: 'instant'})")
+        found.file = folder / "index.html"
+        found.open(found.file)
+        found(IN_VIEW)
         yield found, meta["curves"]["panels"]
+
+
+IN_VIEW = "document.getElementById('fig-curves').scrollIntoView({behavior: 'instant'})"
 
 
 BOX = """(() => { const image = document.querySelector('#fig-curves img');
@@ -260,3 +265,28 @@ def test_buttons_switch_curves_and_their_values_by_keyboard(page):
     assert browser(source) != before  # an image of its own now
     point(browser, main, 200)
     assert len(browser.wait(TIP)) == 5
+
+
+@pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
+def test_a_buttons_swatch_has_the_colour_that_its_curve_is_seen_in(page, dark):
+    browser, (main, *_) = page
+    browser.open(browser.file, width=1280, dark=dark)
+    browser(IN_VIEW)
+    browser.wait("document.querySelectorAll('.switches button').length === 4")
+    left, top, right, bottom = map(round, point(browser, main, 300))
+    browser.move(0, 0)  # no marker over the curves
+    browser("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+    seen = np.asarray(Image.open(io.BytesIO(browser.picture())).convert("RGB")).astype(int)
+    middle = (left + right) // 2
+    curves = seen[top:bottom, middle : middle + 40].reshape(-1, 3)
+    for number in (0, 1):
+        x, y = browser(
+            f"""(() => {{
+              const button = document.querySelectorAll(".switches button")[{number}];
+              const box = button.getBoundingClientRect(), how = getComputedStyle(button);
+              const inner = parseFloat(how.paddingLeft) + parseFloat(how.borderLeftWidth);
+              return [box.left + inner + 4, (box.top + box.bottom) / 2];
+            }})()"""
+        )
+        swatch = seen[int(y), int(x)]
+        assert np.abs(curves - swatch).max(axis=1).min() < 8

@@ -360,6 +360,25 @@ def test_in_the_dark_drawings_lie_on_the_page_and_pictures_keep_their_colours(sh
     assert pixel(page, image, 0.62) == pytest.approx(GREEN, abs=40)
 
 
+@pytest.mark.parametrize("width", [1280, 390])
+def test_in_the_dark_nothing_light_shows_around_a_listing(show, width):
+    """Neither at its corners nor, where it is faded since there is more of it, at its edge."""
+    page = show(width=width, dark=True)
+    page.wait("document.querySelector('div.sourceCode .wide.after') !== null")
+    left, top, right, bottom = page(
+        """(() => {
+          const block = document.querySelector("div.sourceCode");
+          block.scrollIntoView({ block: "center", behavior: "instant" });
+          const box = block.getBoundingClientRect();
+          return [box.left, box.top, box.right, box.bottom].map(Math.round);
+        })()"""
+    )
+    page("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+    seen = np.asarray(Image.open(io.BytesIO(page.picture())).convert("L"))[top:bottom, left:right]
+    edges = (seen[:3], seen[-3:], seen[:12, -40:], seen[:, :3])  # a sign at the right is the page's
+    assert max(edge.max() for edge in edges) < 60
+
+
 def test_in_the_light_drawings_are_as_they_were_drawn(show):
     page = show()
     assert pixel(page, "#fig-wide img", 0.12) == (255, 255, 255)
@@ -571,10 +590,69 @@ def test_figures_float_and_have_text_alternatives_on_paper(made):
     )
     assert figures == [
         ["fig-wide", "A drawing of fig-wide in it", "auto"],
-        ["fig-tall", "A drawing of fig-tall in it", "auto"],
-        ["vid-hero", "A film of nothing in grey", "auto"],
-        ["vid-second", "A film of nothing in grey", "auto"],
+        ["fig-tall", "A drawing of fig-tall in it", "top"],
+        ["vid-hero", "A film of nothing in grey", "top"],
+        ["vid-second", "A film of nothing in grey", "top"],
     ]
+
+
+def shelved(heights, sections=2):
+    """Sections with a line of text and figures of these heights (points), and a short table."""
+    for number in range(sections):
+        yield f"## Section {number}\n\n{WORDS}\n"
+        for place, height in enumerate(heights):
+            name = f"fig-{number}-{place}"
+            yield f'![A drawing.](drawing-{height}.svg){{#{name} alt="Nothing at all"}}\n'
+        yield "| a |\n|---|\n| 1 |\n\n: One row. {#tbl-" + f"{number}}}\n"
+
+
+WHERE = ".map(one => (one.location().page(), one.location().position().y.pt()))"
+PLACES = (
+    f"(query(heading.where(level: 2)){WHERE}, query(<caption-mark>){WHERE})"  # floats' captions
+)
+
+
+@pytest.mark.parametrize("heights", [(80, 150, 150), (150, 60, 60, 60)])
+def test_no_figure_strays_into_the_next_section_and_no_short_table_from_its_text(tmp_path, heights):
+    for height in heights:
+        (tmp_path / f"drawing-{height}.svg").write_text(drawing(200, height))
+    build._typeset("# All\n\n" + "\n".join(shelved(heights, 5)), "", tmp_path, None)
+    source = tmp_path / "report.typ"
+    marked = source.read_text(encoding="utf-8").replace(
+        "left-aligned(text(size: 9pt, it))",
+        "left-aligned(text(size: 9pt, [#metadata(0)<caption-mark>#it]))",
+    )
+    source.write_text(marked, encoding="utf-8")
+    headings, captions = asked(tmp_path, PLACES)
+    each = len(heights) + 1
+    assert (len(headings), len(captions)) == (5, 5 * each)
+    for number, following in enumerate(headings[1:]):
+        assert max(captions[number * each : (number + 1) * each]) < following
+    tables = asked(tmp_path, "query(figure.where(kind: table)).map(f => repr(f.placement))")
+    assert tables == ["none"] * 5
+
+
+def test_two_tall_strips_of_pictures_fit_a_page(tmp_path):
+    strip = tmp_path / "strip.png"
+    Image.new("RGB", (300, 270)).save(strip)
+    div = ':::: {{#vid-{} .video strip="strip.png" alt="Nothing"}}\n<p></p>\n\nA film.\n::::\n'
+    text = f"# Films\n\n{div.format('one')}\n\n{div.format('two')}"
+    build._typeset(text, "", tmp_path, None)
+    pages = asked(tmp_path, "(locate(<vid-one>).page(), locate(<vid-two>).page())")
+    widths = re.findall(
+        r'image\("strip.png", width: ([\d.]+)%', (tmp_path / "report.typ").read_text()
+    )
+    assert [float(width) for width in widths] == pytest.approx([100 * 0.66 / 0.9] * 2, abs=0.1)
+    assert len(set(pages)) == 1
+
+
+@pytest.mark.parametrize("count", [10, 38, 44])
+def test_the_contents_fit_the_first_page_with_few_headings_and_with_many(tmp_path, count):
+    sections = "## One\n\nText.\n\n## Two\n\nText."
+    text = "\n\n".join(f"# Chapter {number}\n\n{sections}" for number in range(count))
+    build._typeset(text, "", tmp_path, None)
+    pages = asked(tmp_path, "query(heading.where(level: 1)).map(h => h.location().page())")
+    assert pages[:2] == [1, 2]
 
 
 def test_equations_are_numbered_on_paper_as_on_the_page(made):

@@ -173,7 +173,17 @@ def test_human_and_random_lines_lie_at_their_scores_and_are_named(panels):
     for axes in panels.values():
         assert [ys for _, ys in lines_of(axes, ":")] == [[12.1, 12.1], [0.1, 0.1]]
     notes = {note.get_text(): note.xy[1] for note in panels["training games"].texts}
-    assert notes == {"human 12.1": 12.1, "random play 0.1": 0.1}
+    assert notes == {"human 12.1": 12.1, "random\nplay 0.1": 0.1}
+
+
+def test_the_name_of_random_play_lies_beside_the_panel_where_no_curve_does(panels):
+    main = panels["training games"]
+    main.figure.canvas.draw()
+    (note,) = (note for note in main.texts if "random" in note.get_text())
+    box, panel = note.get_window_extent(), main.get_window_extent()
+    assert panel.x1 < box.x0 < box.x1 <= main.figure.bbox.x1
+    line = main.transData.transform((0, 0.1))[1]
+    assert box.y0 < line < box.y1, "at the height of its line"
 
 
 def test_published_scores_stand_at_their_frames_as_far_as_ours_reach(panels):

@@ -461,6 +461,10 @@ def test_maps_of_the_ring_are_of_the_first_check_and_of_the_last(tmp_path, shown
         row, column = np.unravel_index(mesh.get_array().argmax(), (22, 20))
         assert (column, row) == (x, y)
         assert axes.yaxis_inverted()
+    caption = shown.captions["fig-boxing-final-places"]
+    assert "the stronger the colour, the longer" in caption, "dark pages turn light and dark round"
+    assert numbers(caption)[-1] == panels[0].collections[0].norm.gamma == 0.4
+    assert "not proportional" in caption
 
 
 def test_balls_of_breakout_are_told_by_their_speed_and_by_where_they_are_lost(tmp_path, shown):
@@ -527,8 +531,26 @@ def test_a_share_of_one_check_alone_is_no_beginning(tmp_path, shown):
     style(run, np.zeros(10), returned_fast=balls, lost_fast=balls)
     results.show_learning_style(study(tmp_path)["breakout_late"])
     rows = {row.pop("measure"): row for row in shown.tables["tbl-breakout-late-style"]}
-    assert rows["fastest balls returned (%)"] == {"DQN": "– → 50"}
+    assert rows["fastest balls returned (%)"] == {"DQN": "– → 50.0"}
     assert "A dash" in shown.captions["tbl-breakout-late-style"]
+
+
+def test_a_row_of_styles_has_the_same_decimals_throughout_and_no_minus_zero(tmp_path, shown):
+    for agent, distance in ((DQN, [27.94] * 5 + [27.0] * 5), (DOUBLE, [3.3] * 5 + [100.4] * 5)):
+        run = store(tmp_path, "boxing_final", agent, np.zeros(1000))
+        how = {"distance": np.array(distance), "ropes": 0.0, "rival_ropes": 0.0, "scored": 55.0}
+        style(run, np.zeros(10), **how, punches=[100] * 5 + [120] * 5)
+    results.show_learning_style(study(tmp_path)["boxing_final"])
+    rows = {row.pop("measure"): row for row in shown.tables["tbl-boxing-final-style"]}
+    row = rows["distance of the boxers (pixels)"]
+    assert {name: cell.partition(" (")[0] for name, cell in row.items()} == {
+        "DQN": "28 → 27",
+        "Double DQN": "3 → 100",
+    }
+    assert rows["points scored per punch"]["DQN"].startswith("0.55 → 0.46 (-0.09 to -0.09;")
+    assert rows["punches thrown per minute"]["DQN"].startswith("50.0 → 60.0 (+10.0 to +10.0;")
+    (cell,) = set(rows["agent at the ropes (% of the time)"].values())
+    assert cell == "0 → 0 (0 to 0; no clear change)"
 
 
 def test_a_game_without_a_ball_of_some_speed_says_nothing_of_it(tmp_path, monkeypatch):
@@ -552,10 +574,10 @@ def test_a_change_of_style_is_told_with_the_games_after_which_half_of_it_is_done
     rows = {row.pop("measure"): row for row in shown.tables["tbl-boxing-final-style"]}
     # five checks of 1 (8 there are) and five of 2, smoothed over five: 1.6 at the 9th
     told = {measure: row["DQN"] for measure, row in rows.items()}
-    assert told["punches thrown per minute"].startswith("10 → 20 (")
+    assert told["punches thrown per minute"].startswith("10.0 → 20.0 (")
     assert told["punches thrown per minute"].endswith("; half after 900 games)")
-    assert told["time within reach (%)"].startswith("40 → 80 (")
-    assert told["points scored per punch"] == "2 → 2 (+0 to +0; no clear change)"
+    assert told["time within reach (%)"].startswith("40.0 → 80.0 (")
+    assert told["points scored per punch"] == "2.0 → 2.0 (0.0 to 0.0; no clear change)"
     assert told["distance of the boxers (pixels)"].endswith("; no clear change)")
     low, high = numbers(told["points conceded per minute"])[2:]
     assert low < 0 < high
@@ -572,7 +594,7 @@ def test_what_there_was_nothing_of_at_first_has_no_change(tmp_path, shown):
     results.show_learning_style(study(tmp_path)["breakout_late"])
     rows = {row.pop("measure"): row for row in shown.tables["tbl-breakout-late-style"]}
     fastest, tunnels = rows["fastest balls returned (%)"], rows["games with a tunnel (%)"]
-    assert fastest == {"DQN": "– → 50"}
+    assert fastest == {"DQN": "– → 50.0"}
     assert tunnels["DQN"].startswith("0 → 100 (+100 to +100; half after")
 
 

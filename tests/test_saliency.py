@@ -7,11 +7,13 @@ from matplotlib.figure import Figure
 from synthetic import numbers, store, study
 from torch import nn
 
+from atari_dqn.agents import AGENTS
 from atari_dqn.envs import EpisodeRecord
 from atari_dqn.networks import DuelingNetwork
 from atari_dqn.report import saliency
 from atari_dqn.runs import records
 from atari_dqn.runs.dataset import Trajectory
+from atari_dqn.training import Trainer
 
 
 class Looks(nn.Module):
@@ -79,11 +81,46 @@ def test_a_filter_is_a_column_with_the_oldest_image_at_the_top():
     (sheet,) = axes.get_images()
     high, wide = sheet.get_array().shape
     middles = sheet.get_array()[high // 8 :: high // 4, wide // 64 :: wide // 32]
-    assert middles[:, 0].tolist() == [0.25, 0.5, 0.75, 1]
-    assert middles[:, 7].tolist() == [-0.25, -0.5, -0.75, -1]
+    assert middles[:, 0].tolist() == [1, 2, 3, 4]
+    assert middles[:, 7].tolist() == [-0.5, -1, -1.5, -2]
+    colours = sheet.to_rgba(middles)
+    assert colours[3, 0, 0] > 2 * colours[3, 0, 2], "what adds is red"
+    assert colours[3, 7, 2] > 1.2 * colours[3, 7, 0], "what takes away is blue"
     below, above = axes.get_ylim()
     assert below > above, "the first row is drawn at the top"
     assert axes.get_title(loc="left") == "any"
+
+
+def test_all_filters_of_a_figure_have_one_scale():
+    strong, weak = DuelingNetwork(4, 6), DuelingNetwork(4, 6)
+    with torch.no_grad():
+        strong.convolutions[0].weight.fill_(0.5)
+        weak.convolutions[0].weight.fill_(0.05)
+    drawn = saliency.filters_figure({"strong": strong, "weak": weak}).axes
+    scales = [axes.get_images()[0].get_clim() for axes in drawn]
+    assert scales == [(-0.5, 0.5)] * 2
+
+
+def test_filters_that_are_in_all_networks_as_they_were_at_random_are_named(tmp_path, monkeypatch):
+    """The first has learned everywhere but in two filters, the second everywhere but in one."""
+    runs, networks = {}, {}
+    for agent, idle in (("double_dqn", (4, 16)), ("dueling_double_dqn", (16,))):
+        run = runs[agent] = store(tmp_path, "boxing_final", agent, [1.0])
+        few = {"replay_capacity": 400, "environments": 1}
+        trainer = Trainer(run.params.model_copy(update=few), agent, run.seed)
+        networks[agent] = AGENTS[agent].network(4, trainer.envs.actions)
+        networks[agent].load_state_dict(trainer.learner.weights())
+        with torch.no_grad():
+            for number in set(range(32)) - {*idle}:
+                networks[agent].convolutions[0].weight[number] += 0.3
+    with torch.no_grad():
+        networks["double_dqn"].convolutions[0].weight[16, 0, 0, 0] += 0.002
+    said = saliency.unlearned(networks, runs)
+    assert "Column 17, counted from the left, has learned nothing" in said
+    assert numbers(said)[:2] == [17, 0.002]
+    with torch.no_grad():
+        networks["double_dqn"].convolutions[0].weight[16, 0, 0, 0] += 0.1
+    assert saliency.unlearned(networks, runs) == ""
 
 
 def test_an_observation_is_the_newest_images_with_the_first_before_the_beginning():
@@ -192,6 +229,7 @@ def test_the_parts_of_the_picture_have_the_shares_of_each_agents_two_maps(
     images = np.random.default_rng(0).integers(0, 255, (102, 84, 84)).astype(np.uint8)
     drawn = {}
     monkeypatch.setattr(saliency, "filters_figure", lambda networks: Figure())
+    monkeypatch.setattr(saliency, "unlearned", lambda networks, runs: " Column 5 is idle.")
     monkeypatch.setattr(
         saliency, "figure", lambda seen, networks: drawn.update(seen, **networks) or Figure()
     )
@@ -213,6 +251,9 @@ def test_the_parts_of_the_picture_have_the_shares_of_each_agents_two_maps(
     for name, step in (("a quarter", 25), ("half", 50), ("the last step", 100)):
         assert (drawn[name][..., -1] == images[step]).all(), name
     assert "One game by DQN" in shown.captions["fig-boxing-final-saliency"]
+    assert shown.captions["fig-boxing-final-filters"].endswith(" Column 5 is idle.")
+    for name in ("fig-boxing-final-saliency", "fig-boxing-final-filters"):
+        assert shown.captions[name].startswith("Boxing, final settings: ")
 
 
 def test_the_game_that_is_shown_is_the_newest_models_first_as_it_was_trained(tmp_path):

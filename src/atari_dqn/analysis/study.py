@@ -391,7 +391,7 @@ def on_gpu(run: Run) -> bool:
 def _machines(sessions: list[dict[str, Any]]) -> str:
     """What trained a run, one after the other, and where its checkpoint was made anew."""
     names = [
-        ("" if session["device"] == "cpu" else "GPU beside ") + _as_text(session["processor"])
+        "GPU beside " * (session["device"] != "cpu") + _as_text(_model(str(session["processor"])))
         for session in sessions
     ]
     restored = [
@@ -400,6 +400,12 @@ def _machines(sessions: list[dict[str, Any]]) -> str:
         if "restored_after" in session
     ]
     return ", then ".join(dict.fromkeys(names)) + "".join(restored)
+
+
+def _model(processor: str) -> str:
+    """A processor's name without what every such name has: its maker, and that it is one."""
+    rest = re.sub(r"\((R|TM)\)|\b(Intel|AMD|CPU|Processor|\d+-Core)\b|@ [\d.]+GHz", "", processor)
+    return " ".join(rest.split()) or processor
 
 
 def _last(run: Run, file: str, column: str) -> float:

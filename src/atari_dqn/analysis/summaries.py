@@ -400,9 +400,9 @@ def _progress(section: Section, played: pd.DataFrame) -> str:
     finished = number >= section.params.episodes
     scores, window = played.set_index("episode").score, _window(section, finished)
     if number < window:
-        return f" has played {number:,} games, too few for a mean of {window}"
+        return f" has played {number:,} games, too few for a mean of {window:,}"
     text = (
-        f" scores {scores.tail(window).mean():.1f} points per game over the last {window} of "
+        f" scores {scores.tail(window).mean():.1f} points per game over the last {window:,} of "
         f"{number:,} games, with {played.epsilon.iloc[-1]:.0%} random actions"
     )
     recent = min(RECENT, section.params.episodes)

@@ -308,7 +308,7 @@ def improves(study: Study, experiment: str, agent: str, until: int, episodes: in
         return _not_yet(section)
     late, before = scores[:, last - episodes :], scores[:, max(0, until - episodes) : until]
     low, high = _difference(blocks(late), blocks(before))
-    said = f"{params.title(agent)} over the last {episodes} of {last:,} games, and up to "
+    said = f"{params.title(agent)} over the last {episodes:,} of {last:,} games, and up to "
     said += f"{until:,}: {late.mean():.1f} against {before.mean():.1f}, difference {low:.1f} to "
     said += f"{high:.1f}"
     return Verdict(MORE(low, high), said, len(scores))
@@ -327,7 +327,7 @@ def improves_greedily(
     if min(late.shape[1], before.shape[1]) < 3:
         return _not_yet(section)
     low, high = _difference(late, before)
-    said = f"{params.title(agent)} in greedy games over the last {episodes} of {last:,} training "
+    said = f"{params.title(agent)} in greedy games over the last {episodes:,} of {last:,} training "
     said += f"games, and up to {until:,}: {late.mean():.1f} against {before.mean():.1f}, "
     said += f"difference {low:.1f} to {high:.1f}"
     return Verdict(MORE(low, high), said, len(late))

@@ -94,7 +94,11 @@ def show_figure(figure: Figure, label: str, caption: str, alt: str, data: str = 
     """Shows a figure with its caption; `label` (fig-...) is what the text refers to.
 
     `data` says which files it is drawn from. What `interactive` tells of it goes to the page.
+    Raises ValueError if it is taller than a page of the PDF, which would cut it off.
     """
+    width, height = figure.get_size_inches()
+    if (tall := plots.WIDTH * height / width) > plots.TALLEST:
+        raise ValueError(f"{label}: {tall:.1f} inches are more than a page's {plots.TALLEST:g}")
     meta: dict[str, Any] = {"label": label, "caption": caption, "alt": alt, "data": data}
     meta["curves"] = interactive.described(figure)
     display(figure, metadata={"image/svg+xml": meta})
@@ -130,7 +134,7 @@ def show_video(
 def show_table(table: pd.DataFrame, label: str, caption: str, decimals: int = 2) -> None:
     """Shows a table with its caption; missing numbers are dashes."""
     shown = table.astype(object).where(table.notna(), "–")
-    shown = shown.map(lambda cell: f"{cell:.{decimals}f}" if isinstance(cell, float) else cell)
+    shown = shown.map(lambda cell: fixed(cell, decimals) if isinstance(cell, float) else cell)
     right = tuple("right" if kind.kind in "if" else "left" for kind in table.dtypes)
     text = shown.to_markdown(index=False, disable_numparse=True, colalign=right)
     head, _, *rows = text.splitlines()
@@ -141,6 +145,18 @@ def show_table(table: pd.DataFrame, label: str, caption: str, decimals: int = 2)
     )
     text = "\n".join([head, f"|{'|'.join(dashes)}|", *rows])
     show_text(f"{text}\n\n: {caption} {{#{label}}}")
+
+
+def fixed(number: float, decimals: int, sign: str = "") -> str:
+    """A number with so many decimals and, if `sign` is "+", always with its sign; what is rounded
+    to zero has none."""
+    text = f"{number:{sign}z.{decimals}f}"
+    return text.removeprefix("+") if float(text) == 0 else text
+
+
+def varying(table: pd.DataFrame, column: str) -> pd.DataFrame:
+    """A table without the column if all its values are the same: it tells no rows apart."""
+    return table.drop(columns=column) if table[column].nunique() == 1 else table
 
 
 WIDEST = 44  # letters; a longer cell is broken into lines

@@ -50,11 +50,13 @@ STYLES = {
     )
 }
 WIDTH = 6.3  # inches; the text's width on paper
+TALLEST = 9.0  # inches, of a figure as wide as the text: a page holds it and its caption
 INK, SOFT = "0.2", BESIDE
 FONT = "Libertinus Serif"  # the PDF's
 FONTS = Path(__file__).parent / "fonts"
 SOURCE, PUBLISHED = "source report", "Dopamine"  # whose points stand beside our curves
 OURS = "ours over the same games"
+FADING = 0.4  # the power of a share of time that a map's colour follows, so that short stays show
 SEEDS_OF_A_BAND = 3  # from so many on, an interval over seeds says something
 
 
@@ -258,10 +260,13 @@ def references(axes: Axes, facts: GameFacts, labelled: bool, upright: bool = Fal
             how |= {"xytext": (0, 2), "ha": "right" if side else "left", "va": "bottom"}
         else:
             at, how["xycoords"] = (side, score), ("axes fraction", "data")
-            how |= {"xytext": (2 - 4 * side, 2 - 4 * side), "ha": "right" if side else "left"}
-            how["va"] = "top" if side else "bottom"  # marks lie above random play
-            axes.margins(y=0.09)  # room for its name
-            how |= {"path_effects": [withStroke(linewidth=2.5, foreground="white")], "zorder": 5}
+            if side:  # beside the panel: within it, a curve that has learned nothing lies there
+                text = text.replace(" ", "\n", 1)
+                how |= {"xytext": (4, 0), "ha": "left", "va": "center"}
+            else:
+                how |= {"xytext": (2, 2), "ha": "left", "va": "bottom", "zorder": 5}
+                how["path_effects"] = [withStroke(linewidth=2.5, foreground="white")]
+            axes.margins(y=0.09)  # room for the human's name
         axes.annotate(text, at, **how)
 
 
@@ -394,17 +399,17 @@ def value_errors(values: pd.DataFrame) -> Figure:
 
 
 def styles_along(styles: pd.DataFrame, measures: dict[str, str]) -> Figure:
-    """How agents play against training episodes, a panel for each measure of an even number, by
+    """How agents play against training episodes, a panel for each measure, three in a row, by
     their columns in `Section.styles`."""
-    styles, rows = drawable(styles), len(measures) // 2
-    figure, panels = plt.subplots(rows, 2, sharex=True, figsize=(WIDTH, 0.4 + 1.7 * rows))
+    styles, rows = drawable(styles), len(measures) // 3
+    figure, panels = plt.subplots(rows, 3, sharex=True, figsize=(WIDTH, 0.5 + 1.6 * rows))
     for axes, (column, title) in zip(panels.flat, measures.items(), strict=True):
         for agent in agents_of(styles):
             own = styles[styles.agent == agent].groupby("episode")[column].mean()
             name, (colour, line) = params.title(agent), STYLES[agent]
             (drawn,) = axes.plot(own.index, own, color=colour, ls=line, lw=1.6)
             named(drawn, name, value=name)
-        axes.set_title(title, fontsize="medium", loc="left")
+        axes.set_title(textwrap.fill(title, 34), fontsize="small", loc="left")
         axes.set(ylim=(0, None), xlim=(0, None))
     for axes in panels[-1]:
         axes.set_xlabel("training games")
@@ -459,7 +464,7 @@ def places(stays: Mapping[str, Mapping[int, np.ndarray]]) -> Figure:
         ]
         for axes, (title, part) in zip(row, maps, strict=True):
             how = {"edgecolors": "face", "linewidth": 0.1}  # else thin lines show between cells
-            axes.pcolormesh(part.T, cmap=shade, norm=PowerNorm(0.4, vmin=0, vmax=most), **how)
+            axes.pcolormesh(part.T, cmap=shade, norm=PowerNorm(FADING, vmin=0, vmax=most), **how)
             axes.set(xticks=[], yticks=[], aspect=4 / 7)
             axes.invert_yaxis()  # as on the television
             axes.set_title(title, fontsize="small")

@@ -27,11 +27,13 @@ from atari_dqn.params import HELD_OUT_STATES, VALUE_GAMES, VALUES_PERIOD
 from atari_dqn.report import plots
 from atari_dqn.report.interactive import switches
 from atari_dqn.report.outputs import (
+    fixed,
     show_absent,
     show_figure,
     show_placeholders,
     show_table,
     show_text,
+    varying,
 )
 from atari_dqn.runs import records, robustness, styles
 from atari_dqn.runs.styles import AGENT
@@ -64,7 +66,7 @@ def show_curves(section: Section) -> None:
     drawn = switches(figure)
     if plots.SOURCE in drawn:
         caption.append(
-            f"Circles: means of the last {section.milestone_window} games, hollow the source "
+            f"Circles: means of the last {section.milestone_window:,} games, hollow the source "
             "report's, filled ours."
         )
     if section.default_difficulty:
@@ -141,8 +143,8 @@ def show_milestones(section: Section) -> None:
     show_table(
         table.rename(columns={"seed": "whose"}),
         label=label,
-        caption=f"{section.title}: mean raw score of the last {section.milestone_window} games at "
-        "each milestone. Columns: games played."
+        caption=f"{section.title}: mean raw score of the last {section.milestone_window:,} games "
+        "at each milestone. Columns: games played."
         + f" Human {facts.human:g}, random play {facts.random:g} [@dqnzoo2020]."
         * section.default_difficulty,
     )
@@ -201,13 +203,11 @@ def show_endings(section: Section) -> None:
         show_placeholders(label)
         return
     table["agent"] = table.agent.map(params.title)
-    if table.seed.nunique() == 1:
-        table = table.drop(columns="seed")
     show_table(
-        table,
+        varying(table, "seed"),
         label=label,
         caption=f"{section.title}: how games ended and how fast points came, over the last "
-        f"{section.milestone_window} games before each milestone. Columns: games played.",
+        f"{section.milestone_window:,} games before each milestone. Columns: games played.",
         decimals=0,
     )
 
@@ -431,8 +431,8 @@ def show_learning_style(section: Section) -> None:
         plots.styles_along(section.styles, measures),
         label=label,
         caption=f"{section.title}: how the agents play along their training, in the {VALUE_GAMES} "
-        f"greedy games after every {VALUES_PERIOD} training games: means, of what the console's "
-        "memory says.",
+        f"greedy games after every {VALUES_PERIOD} training games: means, read from the console's "
+        "memory.",
         alt=f"Panels against training games: {'; '.join(measures.values())}. A line per agent.",
         data=f"results/styles/{section.params.experiment}/",
     )
@@ -442,9 +442,12 @@ def show_learning_style(section: Section) -> None:
         return
     seeded = len(section.params.seeds) > 1
     rows: dict[str, dict[str, str]] = {}
+    greatest = changes[["measure", "first", "last"]].groupby("measure").max().max(axis=1)
     for row in changes.itertuples():
         who = params.title(row.agent) + f", seed {row.seed}" * seeded
-        rows.setdefault(measures[row.measure], {})[who] = _way(row)
+        rows.setdefault(measures[row.measure], {})[who] = _way(
+            row, _decimals(greatest[row.measure])
+        )
     show_table(
         pd.DataFrame([{"measure": measure, **ways} for measure, ways in rows.items()]),
         label=table,
@@ -456,16 +459,24 @@ def show_learning_style(section: Section) -> None:
     )
 
 
-def _way(change: Any) -> str:
+def _decimals(greatest: float) -> int:
+    """How many a row of numbers has that are this great at most, the same for all of them."""
+    if not 0 < greatest < 100:  # all are zero, or nan, or large
+        return 0
+    return 1 if greatest >= 1 else 2
+
+
+def _way(change: Any, decimals: int) -> str:
     """A change in how an agent plays: its ends, its interval, and when half of it is done."""
     ends = (change.first, change.last)
-    said = " → ".join("–" if np.isnan(end) else f"{end:.3g}" for end in ends)
+    said = " → ".join("–" if np.isnan(end) else fixed(end, decimals) for end in ends)
     if np.isnan(change.low):
         return said
     half = "no clear change"
     if not change.low <= 0 <= change.high:
         half = "–" if pd.isna(change.half_way) else f"half after {change.half_way:,.0f} games"
-    return f"{said} ({change.low:+.3g} to {change.high:+.3g}; {half})"
+    low, high = (fixed(end, decimals, "+") for end in (change.low, change.high))
+    return f"{said} ({low} to {high}; {half})"
 
 
 WAY = ("distance", "conceded_per_minute")  # what a map of style has to the right and upwards
@@ -534,7 +545,8 @@ def show_places(section: Section) -> dict[str, dict[int, np.ndarray]]:
         label=label,
         caption=f"{section.title}: where the agent and its rival spend their time, in "
         f"{styles.MAPPED} greedy games each of an agent's first check and of its last, "
-        "seen from above as on the television: the darker, the longer, on one scale.",
+        "seen from above as on the television: the stronger the colour, the longer, on one scale "
+        f"that is not proportional (colours follow the share to the power of {plots.FADING:g}).",
         alt="Maps of the ring, a row per agent: the agent and its rival, early and late.",
         data=f"results/runs/{section.params.experiment}/*/*/games.jsonl.zst",
     )
@@ -621,9 +633,8 @@ def show_robustness(section: Section) -> None:
                         "95% interval": _interval(own),
                     }
                 )
-    table = pd.DataFrame(rows)
     show_table(
-        table.drop(columns="seed") if table.seed.nunique() == 1 else table,
+        varying(pd.DataFrame(rows), "seed"),
         label=label,
         caption=f"{section.title}: greedy games of finished agents under "
         "conditions that they were trained for (first) and that they were not. A frozen scoreboard "

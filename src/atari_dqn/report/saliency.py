@@ -1,6 +1,7 @@
 """What a network looks at: how much its values change when a place of what it sees is blurred
 (Greydanus et al., 2018), and the patterns that its first layer looks for."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,8 +14,9 @@ from matplotlib.figure import Figure
 from torch import nn
 
 from atari_dqn import params
+from atari_dqn.agents import AGENTS, initial_network
 from atari_dqn.analysis.study import Section
-from atari_dqn.envs import SIZE, EpisodeRecord
+from atari_dqn.envs import SIZE, EpisodeRecord, make_env
 from atari_dqn.report.outputs import show_figure, show_placeholders, show_table
 from atari_dqn.report.plots import WIDTH
 from atari_dqn.runs import models, records
@@ -22,6 +24,8 @@ from atari_dqn.runs.dataset import Trajectory, trajectory
 from atari_dqn.runs.run import Run
 
 STRIDE = 4  # pixels between the places that are blurred
+STILL = 0.01  # of the largest weight: a change that no colour shows
+REACHED = 0.995  # the share of the weights that lie on the colours' scale
 BLUR = 3.0  # pixels, standard deviation: of the blur, and of the place's soft edge
 
 
@@ -156,20 +160,53 @@ def figure(observations: dict[str, np.ndarray], networks: dict[str, nn.Module]) 
 
 def filters_figure(networks: dict[str, nn.Module]) -> Figure:
     """The kernels of each network's first layer, 8 by 8 pixels: a column per kernel, and from top
-    to bottom the oldest to the newest of the images that it is laid over."""
+    to bottom the oldest to the newest of the images that it is laid over. Red is positive; one
+    scale for all, whose ends few weights pass."""
     drawing, panels = plt.subplots(
         len(networks), 1, figsize=(WIDTH, 1.1 * len(networks) + 0.2), squeeze=False
     )
-    for axes, (name, network) in zip(panels[:, 0], networks.items(), strict=True):
-        kernels = network.state_dict()["convolutions.0.weight"].cpu().numpy()  # [32, S, 8, 8]
-        kernels = kernels / np.abs(kernels).max(axis=(1, 2, 3), keepdims=True)
+    found = {name: first_layer(network.state_dict()) for name, network in networks.items()}
+    most = np.quantile(np.abs(np.stack(list(found.values()))), REACHED)
+    for axes, (name, kernels) in zip(panels[:, 0], found.items(), strict=True):
         padded = np.pad(kernels, ((0, 0), (0, 0), (1, 1), (1, 1)), constant_values=np.nan)
         sheet = np.block([[kernel[image] for kernel in padded] for image in range(padded.shape[1])])
-        axes.imshow(sheet, cmap="RdBu", vmin=-1, vmax=1)
+        axes.imshow(sheet, cmap="RdBu_r", vmin=-most, vmax=most)
         axes.set_title(name, fontsize="small", loc="left")
         axes.axis("off")
     drawing.tight_layout()
     return drawing
+
+
+def first_layer(weights: Mapping[str, torch.Tensor]) -> np.ndarray:
+    """The kernels of a network's first layer, float32 [32, S, 8, 8]."""
+    return weights["convolutions.0.weight"].cpu().numpy()
+
+
+def start_of(run: Run) -> np.ndarray:
+    """The kernels of the first layer that a run's training started from (`training.Trainer`)."""
+    weights_seed = int(np.random.SeedSequence(run.seed).spawn(4)[3].generate_state(1)[0])
+    initial, actions = models.initial_weights(run), len(make_env(run.params).actions)
+    network = initial_network(AGENTS[run.agent], actions, run.params, weights_seed, initial)
+    return first_layer(network.state_dict())
+
+
+def unlearned(networks: dict[str, nn.Module], runs: dict[str, Run]) -> str:
+    """A sentence on the kernels of the first layer that are in every network still those that it
+    started from: none of their weights has moved by `STILL` of the largest there are. Empty where
+    there are none."""
+    kernels = np.stack([first_layer(network.state_dict()) for network in networks.values()])
+    starts = np.stack([start_of(runs[name]) for name in networks])
+    moved, most = np.abs(kernels - starts).max((2, 3, 4)), np.abs(kernels).max()
+    idle = np.flatnonzero((moved < STILL * most).all(axis=0))
+    if not len(idle):
+        return ""
+    numbers = ", ".join(str(number + 1) for number in idle)
+    noun, verb = ("Columns", "have") if len(idle) > 1 else ("Column", "has")
+    return (
+        f" {noun} {numbers}, counted from the left, {verb} learned nothing in any of these "
+        f"networks: no weight is more than {moved[:, idle].max():.3f} from where it was drawn "
+        f"(the largest weight of all is {most:.2f})."
+    )
 
 
 # Parts of a picture of Boxing, in places: the score and the clock, and the ring within its ropes
@@ -203,17 +240,18 @@ def show_saliency(section: Section) -> pd.DataFrame:
     last = len(game.actions) - 1
     steps = {"a quarter": last // 4, "half": last // 2, "the last step": last}
     observations = {name: observation_at(game, step, stack) for name, step in steps.items()}
+    shown = {params.title(run.agent): run for run, _ in found if run.seed == player.seed}
     networks = {
-        params.title(run.agent): models.load_model(run.folder / "model.safetensors", run.params)
-        for run, _ in found
-        if run.seed == player.seed
+        name: models.load_model(run.folder / "model.safetensors", run.params)
+        for name, run in shown.items()
     }
     show_figure(
         figure(observations, networks),
         label=label,
-        caption="What changes when a place is blurred: the value of the state, and the advantages "
-        f"of the actions over one another (bright: much, each map on its own scale). One game by "
-        f"{params.title(player.agent)}, its first evaluation game, at three moments.",
+        caption=f"{section.title}: what changes when a place is blurred: the value of the state, "
+        "and the advantages of the actions over one another (bright: much, each map on its own "
+        f"scale). One game by {params.title(player.agent)}, its first evaluation game, at three "
+        "moments.",
         alt="Pictures of one game with bright spots where the networks look.",
         data=section.origin,
     )
@@ -229,16 +267,17 @@ def show_saliency(section: Section) -> pd.DataFrame:
         show_table(
             pd.DataFrame(rows),
             label=table,
-            caption=f"Where the changes come from, in percent: the sum of the maps of "
-            f"{len(sampled)} states of that game, one every {SAMPLED} steps. Last, the parts' "
-            "shares of all places.",
+            caption=f"{section.title}: where the changes come from, in percent: the sum of the "
+            f"maps of {len(sampled)} states of that game, one every {SAMPLED} steps. Last, the "
+            "parts' shares of all places.",
             decimals=0,
         )
     show_figure(
         filters_figure(networks),
         label=kernels,
-        caption="The 32 patterns of each first layer: a column each, from the oldest image (top) "
-        "to the newest. Red adds, blue takes away.",
+        caption=f"{section.title}: the 32 patterns of each first layer: a column each, from the "
+        "oldest image (top) to the newest. Red adds, blue takes away; one scale for all of them."
+        + unlearned(networks, shown),
         alt="Small patterns of red and blue for each network's first layer.",
         data=section.origin,
     )

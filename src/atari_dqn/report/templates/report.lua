@@ -65,12 +65,16 @@ local function span(element)
   return element
 end
 
-local floats = false -- whether anything may still do so, since the chapter began
+local floats = false -- whether anything may still do so, since the section began
 
--- Figures on paper: with text alternatives, which pandoc leaves out.
-local function on_paper(file, alt, caption, label)
+-- Figures on paper: with text alternatives, which pandoc leaves out. The first of a section floats
+-- to where it is near its text. Further ones go to the top: at the bottom of a page, they would
+-- stand below the next section's heading.
+local function on_paper(file, alt, caption, label, width)
+  local placement = floats and "top" or "auto"
   floats = true
-  local open = "#figure(image(" .. quoted(file) .. ", width: 100%, alt: " .. quoted(alt) .. "), caption: ["
+  local open = "#figure(placement: " .. placement .. ", image(" .. quoted(file) .. ", width: "
+    .. (width or "100%") .. ", alt: " .. quoted(alt) .. "), caption: ["
   return wrapped(open, caption, "]) <" .. label .. ">")
 end
 
@@ -82,11 +86,20 @@ local function figure(element)
   return on_paper(image.src, alt, element.caption.long, element.identifier)
 end
 
+local TALLEST = 0.66 -- of the text's width: a page holds two strips of pictures that are no taller
+
+local function strip_width(file)
+  local _, bytes = pandoc.mediabag.fetch(file)
+  local size = pandoc.image.size(bytes)
+  return string.format("%.1f%%", 100 * math.min(1, TALLEST * size.width / size.height))
+end
+
 -- A video (report/templates/section): the film for the page, a strip of its pictures for paper.
 local function video(div)
   local caption = { pandoc.Plain(div.content[#div.content].content) }
   if paper then
-    return on_paper(div.attributes.strip, div.attributes.alt, caption, div.identifier)
+    local strip = div.attributes.strip
+    return on_paper(strip, div.attributes.alt, caption, div.identifier, strip_width(strip))
   end
   local attributes = pandoc.Attr(div.identifier, { "video" })
   return pandoc.Figure({ div.content[1] }, { long = caption }, attributes)
@@ -140,6 +153,7 @@ local function listing(block)
   return parts
 end
 
+local SHORT = 9 -- rows; such a table stays in its place, where it leaves no hole worth mentioning
 local WHOLE = 12 -- rows; a longer table may be broken between pages
 
 local function rows(element)
@@ -173,6 +187,7 @@ end
 local function on_paper_table(element)
   element = element:walk({ Code = breakable })
   name_once(element)
+  if rows(element) <= SHORT then return wrapped("#whole[", { element }, "]") end
   if rows(element) > WHOLE then
     after_long = true
     if not floats then return element end
@@ -185,7 +200,7 @@ end
 
 local function heading(element)
   after_long = false
-  if element.level == 1 then floats = false end -- none leaves its chapter
+  if element.level <= 2 then floats = false end -- none leaves its section (report.typ)
 end
 
 -- The abstract stands before the contents, wherever the text has it.
