@@ -154,9 +154,9 @@ def fixed(number: float, decimals: int, sign: str = "") -> str:
     return text.removeprefix("+") if float(text) == 0 else text
 
 
-def varying(table: pd.DataFrame, column: str) -> pd.DataFrame:
-    """A table without the column if all its values are the same: it tells no rows apart."""
-    return table.drop(columns=column) if table[column].nunique() == 1 else table
+def varying(table: pd.DataFrame, *columns: str) -> pd.DataFrame:
+    """A table without those of the columns that have one value alone: they tell no rows apart."""
+    return table.drop(columns=[name for name in columns if table[name].nunique() == 1])
 
 
 WIDEST = 44  # letters; a longer cell is broken into lines

@@ -261,12 +261,11 @@ def show_conditions(section: Section) -> None:
         table[name] = table[name].astype("Int64").where(table[name] >= 0)
     table["sticky"] = table.sticky.map("{:g}".format)
     trained = " and ".join(f"{games:,}" for games in table["training games"].dropna().unique())
-    alike = [name for name in names[1:] if table[name].nunique() == 1]
     apart = [STICKY] if (table.sticky != "0").any() else []
     if len(guessed):
         apart.append("for random play")
     show_table(
-        table.drop(columns=alike),
+        varying(table, *names[1:]),
         label=label,
         caption=f"{section.title}: evaluation games after {trained} games of training, which was "
         f"at difficulty {p.difficulty} with a probability of sticky actions of "
