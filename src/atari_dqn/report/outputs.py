@@ -163,11 +163,9 @@ WIDEST = 44  # letters; a longer cell is broken into lines
 
 
 def _widths(shown: pd.DataFrame) -> list[int]:
-    """Letters that each column needs: those of its longest cell, within reason, and never fewer
-    than those of its longest word."""
-    widths = []
-    for name, column in shown.items():
-        cells = [str(name), *map(str, column)]
-        word = max(len(part) for cell in cells for part in cell.split())
-        widths.append(max(min(word, WIDEST), min(max(map(len, cells)), WIDEST)))
-    return widths
+    """Letters that each column needs: those of its longest cell, within reason, and of the longest
+    word of its heading, which may take several lines."""
+    return [
+        min(WIDEST, max(map(len, [*str(name).split(), *map(str, column)])))
+        for name, column in shown.items()
+    ]
