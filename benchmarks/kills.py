@@ -49,17 +49,21 @@ from atari_dqn.params import Parameters
 from atari_dqn.runs import recorder
 from atari_dqn.runs.run import Run
 recorder.CHECKPOINT_SECONDS = float(sys.argv[3])
-params.VALUES_PERIOD = 20
+params.VALUES_PERIOD = int(sys.argv[4])
 print("ready", flush=True)
 parameters = Parameters.model_validate_json(sys.argv[1])
 recorder.train(Run(parameters, Path(sys.argv[2])))
 """
 
 
-def start(folder: Path, parameters: Parameters = SMALL, between: float = 0.05) -> subprocess.Popen:
-    """A process that trains, with so many seconds between two checkpoints."""
+def start(
+    folder: Path, parameters: Parameters = SMALL, between: float = 0.05, checked: int = 20
+) -> subprocess.Popen:
+    """A process that trains, with so many seconds between two checkpoints, and games between two
+    checks of its values."""
+    given = [parameters.model_dump_json(), str(folder), str(between), str(checked)]
     process = subprocess.Popen(
-        [sys.executable, "-c", PROGRAM, parameters.model_dump_json(), str(folder), str(between)],
+        [sys.executable, "-c", PROGRAM, *given],
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
         text=True,

@@ -11,6 +11,7 @@ from atari_dqn.runs.run import Run
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 
+import again
 import soak
 import throughput
 from throughput import Contestant
@@ -98,3 +99,22 @@ def test_a_soak_trains_twice_and_tells_what_came_of_it(tmp_path, small, monkeypa
     assert told["kills"] <= 1, "it may have ended before"
     assert told["files"] == 7
     assert all(told[f"megabytes_{quarter}"] > 10 for quarter in (1, 2, 3, 4))
+
+
+def test_a_run_trained_again_is_compared_game_by_game_with_what_is_stored(
+    tmp_path, small, monkeypatch
+):
+    monkeypatch.delenv("ATARI_DQN_STATE")
+    run = Run(small(snapshot_games=[1]), tmp_path / "stored")
+    recorder.train(run)
+    told = again.again(run, tmp_path / "again", games=2, times=1, checked=100)
+    assert (told["games"], told["kills"], told["different"]) == (2, 1, "none")
+    other = Run(run.params, tmp_path / "again")
+    compared = again.contents(run, 2)
+    assert told["compared"] == len(compared) == 5, "two tables, two games and a snapshot"
+    (other.folder / "snapshots" / "games-00001.safetensors").write_bytes(b"another's")
+    path = other.folder / "episodes.csv"
+    head, first, *rest = path.read_text().splitlines(keepends=True)
+    fields = first.split(",")
+    path.write_text("".join([head, ",".join([*fields[:3], "77", *fields[4:]]), *rest]))
+    assert again.differences(run, other, 2) == ["episodes.csv", "games-00001.safetensors"]
