@@ -3,10 +3,10 @@
     python benchmarks/again.py results/runs/breakout_late/double_dqn/seed-1 [--games 1700]
 
 Trains from nothing with the stored parameters until so many games are played, and is killed with
-SIGKILL and continued after `--kills` random games before that. The games' rows, the checks of values, the records of every
-game and the snapshots of the weights up to there are then compared with the stored ones, byte for
-byte. Adds a line to results/benchmarks/again.csv. Only a run that the native learner trained from
-its beginning can come out the same on another processor.
+SIGKILL and continued after `--kills` random games before that. The games' rows, the checks of
+values, the records of every game and the snapshots of the weights up to there are then compared
+with the stored ones, byte for byte. Adds a line to results/benchmarks/again.csv. Only a run that
+the native learner trained from its beginning can come out the same on another processor.
 """
 
 import argparse
