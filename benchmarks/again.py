@@ -32,7 +32,8 @@ def contents(run: Run, games: int) -> dict[str, object]:
     found: dict[str, object] = {}
     for name in (tables.EPISODES, tables.VALUES):
         table = tables.read(run.folder, name)
-        found[name] = table[table.episode <= games].to_csv(index=False).encode()
+        for row in table[table.episode <= games].to_dict("records") if len(table) else ():
+            found[f"{name}, episode {row['episode']}"] = repr(row)
     played = records.read_file(run.folder, torn=True)
     for heading, record in played:
         if heading["kind"] != records.EVALUATION and heading["episode"] <= games:
@@ -57,10 +58,14 @@ def again(run: Run, folder: Path, games: int, times: int, checked: int) -> dict[
     """Trains a run's first games again in a folder, and says what came of it."""
     other = Run(run.params, folder)
     began = time.monotonic()
+    wanted = contents(run, games).keys()
     for goal in [*sorted(random.sample(range(1, games), times)), games]:
         process = kills.start(folder, run.params, BETWEEN, checked)
         while played(other) < goal and process.poll() is None:
             time.sleep(0.1)
+        # what comes of the last game is written after its row: snapshots, and checks of values
+        while goal == games and wanted > contents(other, games).keys() and process.poll() is None:
+            time.sleep(1)
         process.kill()
         if process.wait() not in (0, -9):
             raise SystemExit(f"the run failed with {process.returncode}")
@@ -75,7 +80,7 @@ def again(run: Run, folder: Path, games: int, times: int, checked: int) -> dict[
         "agent_steps": int(tables.read(run.folder, tables.EPISODES).agent_steps[games - 1]),
         "kills": times,
         "minutes": round((time.monotonic() - began) / 60, 1),
-        "compared": len(contents(run, games)),
+        "compared": len(wanted),
         "different": "; ".join(differences(run, other, games)[:5]) or "none",
     }
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from atari_dqn import params
 from atari_dqn.runs import checkpoints, recorder
 from atari_dqn.runs.run import Run
 
@@ -105,16 +106,19 @@ def test_a_run_trained_again_is_compared_game_by_game_with_what_is_stored(
     tmp_path, small, monkeypatch
 ):
     monkeypatch.delenv("ATARI_DQN_STATE")
-    run = Run(small(snapshot_games=[1]), tmp_path / "stored")
+    run = Run(small(snapshot_games=[1, 2]), tmp_path / "stored")
+    monkeypatch.setattr(params, "VALUES_PERIOD", 2)
     recorder.train(run)
-    told = again.again(run, tmp_path / "again", games=2, times=1, checked=100)
+    told = again.again(run, tmp_path / "again", games=2, times=1, checked=2)
     assert (told["games"], told["kills"], told["different"]) == (2, 1, "none")
     other = Run(run.params, tmp_path / "again")
     compared = again.contents(run, 2)
-    assert told["compared"] == len(compared) == 5, "two tables, two games and a snapshot"
+    of_check = 1 + params.VALUE_GAMES  # its row, and the games behind it
+    assert told["compared"] == len(compared) == 6 + of_check, "of two games rows, records, weights"
     (other.folder / "snapshots" / "games-00001.safetensors").write_bytes(b"another's")
     path = other.folder / "episodes.csv"
     head, first, *rest = path.read_text().splitlines(keepends=True)
     fields = first.split(",")
     path.write_text("".join([head, ",".join([*fields[:3], "77", *fields[4:]]), *rest]))
-    assert again.differences(run, other, 2) == ["episodes.csv", "games-00001.safetensors"]
+    found = again.differences(run, other, 2)
+    assert found == ["episodes.csv, episode 1", "games-00001.safetensors"]

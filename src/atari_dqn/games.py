@@ -31,6 +31,8 @@ class GameFacts:
     scoreboard: int = 0  # rows of an observation, from its top, with the score and a clock or lives
     field: tuple[slice, slice] | None = None  # rows and columns of an observation in which the game
     # is played, as far from its left edge as from its right
+    bar: slice | None = None  # columns of an observation, from its left edge, that are black in
+    # every picture, where the right edge has none
     clock_cells: tuple[int, int] | None = None  # RAM cells of a clock that runs down: minutes in
     # the upper half of the first, seconds in the second, as decimal digits
 
@@ -69,6 +71,7 @@ GAMES = {
             full_frames=7141,
             scoreboard=10,
             field=(slice(10, 70), slice(14, 70)),  # the ring with its ropes
+            bar=slice(0, 5),
             clock_cells=(16, 17),
         ),
         GameFacts(

@@ -129,9 +129,7 @@ def show_gpu() -> None:
     runs["speed"] = runs.agent_steps / runs.seconds
     batches = runs.groupby("batch")
     together, machine = batches.speed.sum(), runs.iloc[0]
-    lost = int((~runs.came_home).sum())
-    kept = project_root() / "results" / "runs"
-    anew = [one for one in runs.itertuples() if not (kept / one.experiment / one.agent).exists()]
+    lost, unused = int((~runs.came_home).sum()), int((runs.came_home & ~runs.used).sum())
     show_text(
         f"On an {machine.gpu}, with {machine.cores} processor cores, {batches.ngroups} batches of "
         f"{_range(batches.size())} runs were trained side by side, with "
@@ -146,7 +144,10 @@ def show_gpu() -> None:
             if lost
             else ""
         )
-        + (f" What {len(anew)} had learned was not kept, and is learned anew." if anew else "")
+        + (
+            f" The state of {unused} that came back is not used: its run begins again."
+            * bool(unused)
+        )
     )
 
 

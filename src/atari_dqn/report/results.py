@@ -242,12 +242,12 @@ def show_conditions(section: Section) -> None:
     """The evaluation of every finished run, as it was trained and otherwise, beside random play."""
     label, p = f"tbl-{section.slug}-evaluation", section.params
     played, guessed = section.all_evaluations, section.random_play
+    if len(played):
+        played = played[played.epsilon == p.evaluation_epsilon]
     if played.empty:
         show_placeholders(label)
         return
-    played = played[played.epsilon == p.evaluation_epsilon].assign(
-        agent=played.agent.map(params.title)
-    )
+    played = played.assign(agent=played.agent.map(params.title))
     if len(guessed):  # of no run
         played = pd.concat([played, guessed.assign(agent="random play", seed=-1, trained_games=-1)])
     keys = ["agent", "seed", "trained_games", "difficulty", "sticky_actions"]
@@ -315,12 +315,13 @@ def _interval(games: pd.DataFrame) -> str:
 def _about_intervals(section: Section, *apart: str) -> str:
     """What `_interval` gives, as captions tell it; `apart` are the rows in which no two games are
     alike."""
+    where = " and ".join(apart)
     if section.facts.idle_cycle is None:
         said = "Each opening with all of its games counts once in a 95% interval"
+        said += f"; {where}, each game does" * bool(apart)
     else:
         said = "A range is that of the openings' means"
-    if apart:
-        said += f"; {' and '.join(apart)}, each game does"
+        said += f"; {where}, it is a 95% interval over games" * bool(apart)
     return f"{said}. Nothing follows for other seeds."
 
 
@@ -553,10 +554,11 @@ def show_places(section: Section) -> dict[str, dict[int, np.ndarray]]:
 
 
 STICKY = "with sticky actions"
-EXCHANGES = {
+SEEN = {
     robustness.MIRRORED: "left and right exchanged",
     robustness.FIELD: "in the field alone",
-    robustness.EDGES: "everywhere but there",
+    robustness.BAR_MOVED: "black bar moved right",
+    robustness.BAR_GONE: "black bar painted over",
 }
 BLINDLY = "the best game's moves, blindly"
 OPENINGS = (500, 100)  # training games, and agent steps from their start, that are compared
@@ -573,12 +575,14 @@ def show_views(section: Section) -> None:
     game, image = records.begin(run.params, record)
     for action in record.actions[: len(record.actions) // 4]:
         image = game.step(action)[0]
+    views = robustness.views(run.params)
+    there = {condition: name for condition, name in SEEN.items() if condition in views}
     seen = {"as it is": image} | {
-        name: robustness.VIEWS[condition](run.params)(image[None, :, :, None])[0, :, :, 0]
-        for condition, name in EXCHANGES.items()
+        name: views[condition](image[None, :, :, None])[0, :, :, 0]
+        for condition, name in there.items()
     }
     scores = {"as it is": section.evaluations} | {
-        name: _under(section, condition) for condition, name in EXCHANGES.items()
+        name: _under(section, condition) for condition, name in there.items()
     }
     said = {
         name: "\n".join(
@@ -591,10 +595,12 @@ def show_views(section: Section) -> None:
     show_figure(
         plots.views(seen, said),
         label=label,
-        caption=f"{section.title}: the same moment of a game with left and right exchanged in "
-        "different parts of the picture, and the mean score under each. Where the field is "
-        "exchanged, so are the actions.",
-        alt="Four small pictures of one moment, each with left and right exchanged elsewhere.",
+        caption=f"{section.title}: a moment of a game as it is, and as it is seen in trials of "
+        "finished agents (@tbl-"
+        + section.slug
+        + "-robustness), with their mean scores. Where left "
+        "and right are exchanged, so are the actions.",
+        alt="Small pictures of one moment of a game, each changed in another way.",
         data=section.origin,
     )
 
@@ -615,7 +621,7 @@ def show_robustness(section: Section) -> None:
             for chance in p.evaluation_stickiness
         },
         "scoreboard frozen": _under(section, robustness.SCOREBOARD),
-        **{name: _under(section, condition) for condition, name in EXCHANGES.items()},
+        **{name: _under(section, condition) for condition, name in SEEN.items()},
         BLINDLY: _under(section, robustness.SEQUENCE),
     }
     for agent, seed in played[["agent", "seed"]].drop_duplicates().itertuples(index=False):
@@ -643,13 +649,13 @@ def show_robustness(section: Section) -> None:
     )
     games, steps = OPENINGS
     said = [
-        f"{params.title(run.agent)} {robustness.repeated_openings(run, games, steps):.0%}"
+        f"{robustness.repeated_openings(run, games, steps):.0%} for {params.title(run.agent)}"
         for run in section.usable
         if run.robustness.exists()
     ]
     show_text(
-        f"Of the last {games} training games of {section.facts.title}, so many have their first "
-        f"{steps} actions in common with another one: {', '.join(said)}."
+        f"The share of the last {games} training games of {section.facts.title} that have their "
+        f"first {steps} actions in common with another one is {' and '.join(said)}."
     )
 
 

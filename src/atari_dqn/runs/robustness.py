@@ -4,7 +4,8 @@ never met:
     sequence    the moves of its best evaluation game, made blindly in every other opening
     mirrored    left and right exchanged, in what it sees and in what it does
     field       the same, but in what it sees only in the ring, or between the walls
-    edges       in what it sees alone, and only about the ring, or the walls, below the scoreboard
+    bar_moved   a black bar at one edge of the screen, where there is one, seen at the other
+    bar_gone    the same bar not seen at all
     scoreboard  score and clock, or lives, as in the first picture, in what it sees
 
 Sticky actions, the third such condition, are a part of every final evaluation.
@@ -14,6 +15,7 @@ import re
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import astuple, dataclass, fields
+from functools import partial
 from itertools import cycle
 from typing import TYPE_CHECKING
 
@@ -21,7 +23,7 @@ import numpy as np
 import pandas as pd
 from tqdm import tqdm
 
-from atari_dqn.envs import AtariEnv, EpisodeRecord, make_env
+from atari_dqn.envs import SIZE, AtariEnv, EpisodeRecord, make_env
 from atari_dqn.games import GAMES
 from atari_dqn.params import Parameters
 from atari_dqn.runs import records, tables
@@ -32,8 +34,8 @@ if TYPE_CHECKING:
     from atari_dqn.evaluation import Player
 
 EXPERIMENTS = ("boxing_final", "breakout_final")  # whose agents are put to it
-SEQUENCE, MIRRORED, FIELD, EDGES = "sequence", "mirrored", "field", "edges"
-SCOREBOARD = "scoreboard"
+SEQUENCE, MIRRORED, FIELD, SCOREBOARD = "sequence", "mirrored", "field", "scoreboard"
+BAR_MOVED, BAR_GONE = "bar_moved", "bar_gone"
 
 
 @dataclass(frozen=True)
@@ -63,7 +65,7 @@ def measure(run: Run) -> None:
         stored[stored.trained_games == trained] if len(stored) else pd.DataFrame(columns=columns)
     )
     conditions = {SEQUENCE: _sequence(run, trained)}
-    conditions |= {name: _changed(run, trained, name) for name in VIEWS}
+    conditions |= {name: _changed(run, trained, name) for name in views(run.params)}
     missing = [trials for name, trials in conditions.items() if name not in set(table.condition)]
     if not missing:
         return
@@ -139,7 +141,7 @@ def _changed(run: Run, trained: int, condition: str) -> Iterator[Trial]:
 def changed(player: "Player", params: Parameters, condition: str) -> "Player":
     """The player under a condition: it sees what the condition's view leaves, and where left is
     right its moves are made the other way round."""
-    view = VIEWS[condition](params)
+    view = views(params)[condition]
     names = [action.name for action in make_env(params).actions]
     exchange = {"LEFT": "RIGHT", "RIGHT": "LEFT"} if condition in EXCHANGED else {}
     made = [re.sub("LEFT|RIGHT", lambda side: exchange.get(side[0], side[0]), n) for n in names]
@@ -150,41 +152,49 @@ def changed(player: "Player", params: Parameters, condition: str) -> "Player":
 # ---- What is seen instead of observations, uint8 [games, height, width, stack] -------------------
 
 View = Callable[[np.ndarray], np.ndarray]
+EXCHANGED = (MIRRORED, FIELD)  # in which the moves are, too
 
 
-def mirrored(params: Parameters) -> View:
-    """The mirror image."""
-    return lambda observations: observations[:, :, ::-1]
+def views(params: Parameters) -> dict[str, View]:
+    """What is seen under each condition that there is in a game."""
+    facts = GAMES[params.game]
+    found: dict[str, View] = {
+        MIRRORED: lambda observations: observations[:, :, ::-1],
+        SCOREBOARD: _scoreboard_frozen(params),
+    }
+    if facts.field is not None:
+        found[FIELD] = partial(_field_mirrored, *facts.field)
+    if facts.bar is not None:
+        found |= {
+            BAR_MOVED: partial(_bar_moved, facts.bar),
+            BAR_GONE: partial(_bar_gone, facts.bar),
+        }
+    return found
 
 
-def field_mirrored(params: Parameters) -> View:
-    """The mirror image of the field, in which alone something moves, and all about it as it is."""
-    rows, columns = _field(params)
-
-    def view(observations: np.ndarray) -> np.ndarray:
-        seen = observations.copy()
-        seen[:, rows, columns] = observations[:, rows, columns][:, :, ::-1]
-        return seen
-
-    return view
+def _field_mirrored(rows: slice, columns: slice, observations: np.ndarray) -> np.ndarray:
+    """Only the field, in which alone something moves, is exchanged."""
+    seen = observations.copy()
+    seen[:, rows, columns] = observations[:, rows, columns][:, :, ::-1]
+    return seen
 
 
-def edges_mirrored(params: Parameters) -> View:
-    """The mirror image of what is about the field, in which nothing moves, and the field and the
-    scoreboard as they are."""
-    (rows, columns), first_row = _field(params), GAMES[params.game].scoreboard
-
-    def view(observations: np.ndarray) -> np.ndarray:
-        seen = observations.copy()
-        seen[:, first_row:] = observations[:, first_row:, ::-1]
-        seen[:, rows, columns] = observations[:, rows, columns]
-        return seen
-
-    return view
+def _bar_moved(bar: slice, observations: np.ndarray) -> np.ndarray:
+    seen = observations[:, :, ::-1].copy()
+    rest = slice(bar.stop, SIZE - bar.stop)
+    seen[:, :, rest] = observations[:, :, rest]
+    return seen
 
 
-def scoreboard_frozen(params: Parameters) -> View:
-    """Score and clock, or lives, as in a game's first picture."""
+def _bar_gone(bar: slice, observations: np.ndarray) -> np.ndarray:
+    """In its place is what lies at the other edge, where nothing ever changes."""
+    seen = observations.copy()
+    seen[:, :, bar] = observations[:, :, ::-1][:, :, bar]
+    return seen
+
+
+def _scoreboard_frozen(params: Parameters) -> View:
+    """Score and clock, or lives, are seen as in a game's first picture."""
     rows = GAMES[params.game].scoreboard
     first = make_env(params).reset(seed=0)[0][:rows]
 
@@ -194,18 +204,3 @@ def scoreboard_frozen(params: Parameters) -> View:
         return seen
 
     return view
-
-
-def _field(params: Parameters) -> tuple[slice, slice]:
-    field = GAMES[params.game].field
-    assert field is not None, params.game  # there is one in the games of EXPERIMENTS
-    return field
-
-
-VIEWS = {
-    MIRRORED: mirrored,
-    FIELD: field_mirrored,
-    EDGES: edges_mirrored,
-    SCOREBOARD: scoreboard_frozen,
-}
-EXCHANGED = (MIRRORED, FIELD)  # in which the moves are, too

@@ -42,7 +42,7 @@ OR_NAN = rf"(?:{LEARNED}|nan)?"  # pandas writes nothing for nan
 SHARE = r"(?:0(?:\.[0-9]+)?|1(?:\.0+)?|[0-9](?:\.[0-9]+)?e-[0-9]{2})"
 TRUTH = "(?:True|False)"
 DIGEST = "[0-9a-f]+"
-CONDITION = "(?:sequence|mirrored|field|edges|scoreboard)"
+CONDITION = "(?:sequence|mirrored|field|scoreboard|bar_moved|bar_gone)"
 SAID = {
     WHOLE: "a whole number",
     COUNT: "a whole number from 0 on",
@@ -53,7 +53,7 @@ SAID = {
     SHARE: "a number from 0 to 1",
     TRUTH: "True or False",
     DIGEST: "a hexadecimal number",
-    CONDITION: "sequence, mirrored, field, edges or scoreboard",
+    CONDITION: "sequence, mirrored, field, scoreboard, bar_moved or bar_gone",
 }
 STYLE = {"episode": SOME, "game": COUNT, "digest": DIGEST, "frames": SOME, "score": NUMBER}
 COLUMNS: dict[str, dict[str, str]] = {
