@@ -601,7 +601,7 @@ def preprocessing(games: list[str]) -> Figure:
 
 def views(pictures: dict[str, np.ndarray], said: dict[str, str]) -> Figure:
     """Small pictures, uint8 [84, 84], side by side, each with its title and what is said of it."""
-    figure, panels = plt.subplots(1, len(pictures), figsize=(WIDTH, 2.3))
+    figure, panels = plt.subplots(1, len(pictures), figsize=(WIDTH, WIDTH / len(pictures) + 0.7))
     for axes, (title, picture) in zip(panels, pictures.items(), strict=True):
         axes.imshow(picture, cmap="gray", vmin=0, vmax=255)
         axes.set(xticks=[], yticks=[])
