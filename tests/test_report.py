@@ -5,22 +5,26 @@ import json
 import os
 import re
 import shutil
+import signal
 import subprocess
+import time
 from pathlib import Path
 from unittest.mock import Mock
 
 import browser
 import nbformat
 import papermill
+import psutil
 import pytest
 
 from atari_dqn import params
-from atari_dqn.report import build, crossrefs, execution, notebook
+from atari_dqn.report import build, crossrefs, execution, kernels, notebook
 from atari_dqn.runs import plan, recorder
 from atari_dqn.runs.files import RunError, write_atomically
 
 ROOT = Path(__file__).parents[1]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
+PATIENCE = 1800  # seconds; only what hangs takes so long, even on a busy machine
 
 
 def test_a_snapshot_stays_as_it_was_while_training_goes_on(tmp_path, monkeypatch):
@@ -141,8 +145,72 @@ def execute(output, parameters, folder, name="experiment"):
         cwd=folder,
         kernel_name="python3",
         progress_bar=False,
+        kernel_manager_class=kernels.Kernels,
     )
     return nbformat.read(output, as_version=4)
+
+
+def one_cell(folder, code):
+    """A notebook of one cell beside its parameters, and a folder for what comes of it."""
+    parameters = nbformat.v4.new_code_cell(metadata={"tags": ["parameters"]})
+    cells = [parameters, nbformat.v4.new_code_cell(code)]
+    about = {"kernelspec": {"name": "python3", "display_name": "Python 3", "language": "python"}}
+    notebook = nbformat.v4.new_notebook(cells=cells, metadata=about)
+    nbformat.write(notebook, folder / "01_any.ipynb")
+    (folder / "made").mkdir()
+    return folder / "01_any.ipynb", folder / "made"
+
+
+def test_a_kernel_has_the_environment_and_the_folder_of_its_own_report(tmp_path, monkeypatch):
+    """Not those of the process that it is forked from, which may be of an earlier one."""
+    path, made = one_cell(tmp_path, "import os\nos.environ['ANY'], os.getcwd()")
+    for given in "ab":
+        monkeypatch.setenv("ANY", given)
+        execution.execute(path, made, "smoke", tmp_path)
+        (output,) = nbformat.read(made / path.name, as_version=4).cells[-1].outputs
+        assert output.data["text/plain"] == str((given, str(tmp_path)))
+
+
+@pytest.mark.parametrize("failures", [1, 2])
+def test_a_kernel_that_does_not_start_is_started_again_a_few_times(tmp_path, monkeypatch, failures):
+    launch, launches = kernels.Kernels._async_launch_kernel, []
+
+    async def launch_and_kill(self, command, **options):
+        await launch(self, command, **options)
+        launches.append(command)
+        if len(launches) <= failures:
+            self.provisioner.process.send_signal(signal.SIGKILL)
+
+    monkeypatch.setattr(kernels.Kernels, "_async_launch_kernel", launch_and_kill)
+    path, made = one_cell(tmp_path, "pass")
+    monkeypatch.setattr(execution, "STARTS", 2)
+    if failures == 2:
+        with pytest.raises(RunError, match=r"section 01_any\.ipynb: Kernel died before replying"):
+            execution.execute(path, made, "smoke", tmp_path)
+        assert list(made.iterdir()) == []
+    else:
+        execution.execute(path, made, "smoke", tmp_path)
+        assert [path.name for path in made.iterdir()] == [path.name]
+    assert len(launches) == 2
+
+
+def test_a_kernel_does_not_outlive_a_report_that_is_killed(tmp_path):
+    code = "import os, time\nfrom pathlib import Path\nPath('pid').write_text(str(os.getpid()))\n"
+    path, made = one_cell(tmp_path, code + "time.sleep(3600)")
+    report = kernels.context().Process(
+        target=execution.execute, args=(path, made, "smoke", tmp_path)
+    )
+    report.start()
+    end = time.monotonic() + PATIENCE
+    while not (tmp_path / "pid").exists() or not (tmp_path / "pid").read_text():
+        assert report.is_alive()
+        assert time.monotonic() < end, "it does not start"
+        time.sleep(0.05)
+    kernel = psutil.Process(int((tmp_path / "pid").read_text()))
+    report.kill()
+    while kernel.is_running() and kernel.status() != psutil.STATUS_ZOMBIE:
+        assert time.monotonic() < end, "it goes on for nobody"
+        time.sleep(0.05)
 
 
 SMOKE = {"experiment": "boxing_final", "profile": "smoke", "agent": "double_dqn"}
@@ -304,7 +372,7 @@ def test_the_page_opens_in_a_browser_without_console_errors(built, tmp_path):
         browser.command(tmp_path, "--enable-logging=stderr", "--dump-dom", page),
         capture_output=True,
         text=True,
-        timeout=1800,  # only what hangs takes so long
+        timeout=PATIENCE,
     )
     assert "</html>" in result.stdout
     assert "CONSOLE" not in result.stderr

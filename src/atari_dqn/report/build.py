@@ -6,7 +6,6 @@ The previous report stays in place until a whole new one has been made.
 
 import base64
 import json
-import multiprocessing
 import os
 import shutil
 import struct
@@ -27,9 +26,9 @@ from nbconvert import MarkdownExporter
 from tqdm import tqdm
 
 from atari_dqn.analysis.study import SNAPSHOT
-from atari_dqn.report import catalogue, crossrefs, fingerprint
+from atari_dqn.report import catalogue, crossrefs, fingerprint, kernels
 from atari_dqn.report.execution import execute
-from atari_dqn.runs import plan, processes, records, robustness, scheduler, styles, tables
+from atari_dqn.runs import plan, records, robustness, scheduler, styles, tables
 from atari_dqn.runs.files import RunError, project_root, results_folder
 from atari_dqn.runs.run import stored_json
 
@@ -157,8 +156,8 @@ def _execute(profile: str, folder: Path, results: Path) -> list[Path]:
     """
     target = folder / "notebooks"
     stale = _stale(profile, folder, results)
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(scheduler.cores(), context, processes.end_with_parent) as pool:
+    begin, environment = kernels.begin, (dict(os.environ),)
+    with ProcessPoolExecutor(scheduler.cores(), kernels.context(), begin, environment) as pool:
         jobs = {
             pool.submit(execute, notebook, target, profile, results): (notebook, fresh)
             for notebook, fresh in stale

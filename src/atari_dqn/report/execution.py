@@ -8,6 +8,7 @@ from pathlib import Path
 
 import papermill
 
+from atari_dqn.report import kernels
 from atari_dqn.runs.files import RunError
 
 STARTS = 3  # of a notebook's kernel, whose ports another's may take before it does
@@ -30,6 +31,7 @@ def execute(notebook: Path, target: Path, profile: str, results: Path) -> None:
                 progress_bar=False,
                 request_save_on_cell_execute=False,
                 extra_arguments=["--log-level=ERROR"],
+                kernel_manager_class=kernels.Kernels,
             )
         except papermill.PapermillExecutionError as error:
             partial.unlink(missing_ok=True)
