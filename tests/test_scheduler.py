@@ -96,7 +96,8 @@ def test_a_run_that_needs_anothers_model_is_trained_after_it(tmp_path, small, tr
 
 def test_a_transfer_whose_source_has_changed_is_stale(tmp_path, small, transfer):
     run, source = Run(transfer, tmp_path), Run(small(), tmp_path)
-    scheduler.train_all([source, run])
+    for one in (source, run):
+        recorder.train(one)
     assert states([run]) == ["complete"]
     recorder.train(Run(small(episodes=4), tmp_path))
     assert states([run]) == ["stale"]

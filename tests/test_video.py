@@ -198,13 +198,15 @@ def test_beside_a_video_with_a_layer_lies_the_same_in_grey_under_its_light(small
     assert video == play_with_instruments(network, params, "Agent", 1, 0, (1, None), layer)
     pictures, _ = decoded(video.mp4)
     assert pictures.shape == (*plain.shape[:2], 2 * module.WIDTH, 3)
-    left, right = pictures[:, :, : module.WIDTH].astype(int), pictures[:, :, module.WIDTH :]
+    # Every eighth picture will do; the last two of these are of those that are held at the end
+    plain, pictures = (every[::-8][::-1].astype(np.int16) for every in (plain, pictures))
+    left, right = pictures[:, :, : module.WIDTH], pictures[:, :, module.WIDTH :]
     assert np.abs(left - plain).mean() < 3
     screen = slice(module.MARGIN, module.MARGIN + 320)
     middle, bottom = module.TOP + 210, module.TOP + 420  # of the television's picture
-    under, over = right[:-16, middle + 8 : bottom, screen], right[:, module.TOP : middle, screen]
+    under, over = right[:-2, middle + 8 : bottom, screen], right[:, module.TOP : middle, screen]
     assert np.ptp(under.astype(int), axis=3).mean() < 6, "grey"
-    grey = left[:-16, middle + 8 : bottom, screen] @ [0.299, 0.587, 0.114]
+    grey = left[:-2, middle + 8 : bottom, screen] @ [0.299, 0.587, 0.114]
     assert np.abs(under.mean(axis=3) - module.DUSK * grey).mean() < 6, "and darker"
     red, _, blue = over[:, :-10].mean(axis=(0, 1, 2))
     assert blue > 240
