@@ -454,8 +454,12 @@ def test_without_a_home_there_is_one_plain_line(monkeypatch):
 
 
 def test_several_processes_may_build_it_at_once(tmp_path):
-    compiler = tmp_path / "compiler"  # so slow that each finds no library yet
-    compiler.write_text('#!/bin/sh\n[ "$1" = --version ] || sleep 5\nexec c++ "$@"\n')
+    compiler = tmp_path / "compiler"  # which waits for the other, if not for ever
+    compiler.write_text(
+        '#!/bin/sh\n[ "$1" = --version ] && exec c++ --version\ntouch "$0.$$"; tries=0\n'
+        'while [ $(ls "$0".* | wc -l) -lt 2 ] && [ $tries -lt 600 ]\n'
+        'do sleep 0.1; tries=$((tries + 1)); done\nexec c++ "$@"\n'
+    )
     compiler.chmod(0o755)
     source = tmp_path / "quick.cpp"
     source.write_text('extern "C" bool processor_suffices() { return false; }')
