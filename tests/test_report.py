@@ -272,8 +272,9 @@ def test_the_background_says_what_its_measurements_say(built):
     bent = [row for row in far if row["points"] == "2"]
     near = len(two) - len(bent), len(rows) - len(far)
     assert f"Of {len(rows):,} punches, {len(two)} scored two points" in text
-    assert f"from {near[0] / near[1]:.0%} of the punches less than 18 pixels" in text
-    assert f"from {len(bent)} of the {len(far):,} others" in text
+    share = f"{near[0] / near[1]:.0%} of the punches gave two points"
+    assert f"less than 18 pixels apart horizontally, {share}" in text
+    assert f"and so did {len(bent)} of the {len(far):,} others" in text
     assert "two games of Boxing are identical after each of 1,000 steps" in text
     assert "the goal in 13 steps" in text, "the shortest way along the cliff"
 
