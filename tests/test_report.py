@@ -8,6 +8,7 @@ import shutil
 import signal
 import subprocess
 import time
+from ast import literal_eval
 from pathlib import Path
 from unittest.mock import Mock
 
@@ -168,7 +169,7 @@ def test_a_kernel_has_the_environment_and_the_folder_of_its_own_report(tmp_path,
         monkeypatch.setenv("ANY", given)
         execution.execute(path, made, "smoke", tmp_path)
         (output,) = nbformat.read(made / path.name, as_version=4).cells[-1].outputs
-        assert output.data["text/plain"] == str((given, str(tmp_path)))
+        assert literal_eval(output.data["text/plain"]) == (given, str(tmp_path))
 
 
 @pytest.mark.parametrize("failures", [1, 2])

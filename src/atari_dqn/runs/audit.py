@@ -11,7 +11,7 @@ import numpy as np
 
 from atari_dqn import params
 from atari_dqn.envs import EpisodeRecord, learned_reward
-from atari_dqn.params import Parameters
+from atari_dqn.params import Parameters, stored_parameters
 from atari_dqn.runs import compression, records, tables
 from atari_dqn.runs.files import RunError, evaluations_lock
 from atari_dqn.runs.records import EVALUATION, KEYS, TRAINING, VALUES, Game, Heading, RecordError
@@ -141,10 +141,11 @@ def _values(parameters: Parameters, behind: list[EpisodeRecord]) -> Facts:
 
 
 def _stored(folder: Path) -> Stored:
+    parameters = stored_parameters(folder)  # first: it says where there is no run
     with evaluations_lock(folder):  # and the tables first: no row is written before its record
         provenance = stored_json(folder, "provenance.json")
         complete = stored_json(folder, "status.json")["state"] == COMPLETE
-        parameters = tables.check_parameters(folder)
+        tables.check_parameters(folder)
         tables.check(folder)
         tables.check_models(folder)
         if not complete:  # else `read_file` says so
