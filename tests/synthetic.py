@@ -7,6 +7,7 @@ import copy
 import functools
 import json
 import re
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -52,11 +53,13 @@ def study(results):
 
 
 def store(results, experiment, agent, scores, seed=1, variation="", epsilon=0.22, **provenance):
-    """A run's folder with the given scores."""
+    """A run's folder with the given scores, in place of what it may hold."""
     variants = params.variants(settings(experiment))
     chosen = variants[variation or experiment]
     run = Run(params.pick(chosen, agent, seed), results, variation)
-    run.folder.mkdir(parents=True, exist_ok=True)
+    if run.folder.exists():
+        shutil.rmtree(run.folder)
+    run.folder.mkdir(parents=True)
     games = np.arange(1, len(scores) + 1)
     table = {"episode": games, "agent_steps": games * STEPS, "frames": games * FRAMES}
     table |= {"score": scores, "length": STEPS, "epsilon": epsilon, "loss": 0.01, "mean_q": 1.0}
@@ -87,14 +90,16 @@ def record(run, *played):
     for name, each in TOLD_OF.items():
         if (path := run.folder / name).exists():
             games += each * (path.read_bytes().count(b"\n") - 1)
-    (run.folder / records.FILE).write_bytes(_records(games) + records.encode([*played]))
+    firsts = range(0, games, records.FRAME)
+    frames = [_frame(first, min(first + records.FRAME, games)) for first in firsts]
+    (run.folder / records.FILE).write_bytes(b"".join(frames) + records.encode([*played]))
 
 
 @functools.cache
-def _records(games):
+def _frame(first, end):
     heading = {**dict.fromkeys(records.KEYS[records.EVALUATION], 0), "kind": records.EVALUATION}
     none = EpisodeRecord(0, b"", None)
-    return records.encode([({**heading, "game": game}, none) for game in range(games)])
+    return records.encode([({**heading, "game": game}, none) for game in range(first, end)])
 
 
 def standing_out(mean, games, by=100.0):

@@ -19,7 +19,8 @@ def trained(tmp_path_factory):
     """A run of Breakout, lives counted, and its replay memory as it was after every game."""
     folder = tmp_path_factory.mktemp("trained")
     values = {"game": "breakout", "episodes": GAMES, "life_loss_penalty": 1.0, "environments": 1}
-    run = Run(Parameters(**{**SMALL, **values, "replay_capacity": 300}), folder)
+    values |= {"max_game_frames": 200, "replay_capacity": 300}
+    run = Run(Parameters(**{**SMALL, **values}), folder)
     memories = []
     log = recorder.Recorder.log
 

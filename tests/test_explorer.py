@@ -54,7 +54,7 @@ def test_what_is_stored_is_offered_and_what_was_asked_for_is_opened(panel):
     assert options(panel.checkpoint) == ["3 games", "1 games"]
     assert options(panel.kind) == ["training", "evaluation", "new, greedy"]
     assert (panel.number.value, panel.number.max) == (3, 3)
-    assert panel.facts.value.startswith("training game 3: step 0 of 49; best action ")
+    assert panel.facts.value.startswith("training game 3: step 0 of 29; best action ")
     assert options(panel.other) == ["Dueling Double DQN (small, seed 1)", "DQN (small, seed 2)"]
     assert panel.count.value == "of 3: training game 3"
     panel.run[0].value = "other: +0123abcd"
@@ -123,7 +123,7 @@ def test_a_new_game_is_the_one_that_evaluation_plays(panel):
     game = panel.games[0]
     assert game.ended
     assert all(action == game.best(step) for step, action in enumerate(game.actions))
-    assert panel.facts.value.startswith("new game 4: step 0 of 43;")
+    assert panel.facts.value.startswith("new game 4: step 0 of 23;")
     assert game.record == module.new_record(panel.params, 3)
 
 

@@ -22,7 +22,7 @@ from atari_dqn.runs.restore import restore
 from atari_dqn.runs.run import Run
 from atari_dqn.training import Trainer
 
-GAMES = 6  # of about 45 agent steps each, in two environments
+GAMES = 6  # of about 27 agent steps each, in two environments
 
 
 def run_of(folder, **changes):

@@ -157,7 +157,7 @@ def test_updates_are_due_every_period_after_learning_starts(small):
     trainer = Trainer(small(update_period=3, learning_starts=50), "dqn", 1)
     for _ in zip(range(40), trainer.run(), strict=False):
         assert trainer.learner.updates == max(0, trainer.agent_steps - 50) // 3
-    assert trainer.agent_steps == 80
+    assert trainer.agent_steps == 78, "two of the 80 begin games"
 
 
 def test_exploration_and_learning_rate_follow_the_games_finished_before(small, monkeypatch):

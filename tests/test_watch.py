@@ -63,8 +63,8 @@ def test_without_a_display_the_evaluation_games_go_to_a_new_video(folder, tmp_pa
     table = pd.read_csv(folder / "evaluations.csv")
     assert capsys.readouterr().out.splitlines() == [
         "no display to open a window on: what is played goes to small-double_dqn-seed-1-2.mp4",
-        f"game 0: {table.score[0]:g} points, 0:03",
-        f"game 1: {table.score[1]:g} points, 0:03",
+        f"game 0: {table.score[0]:g} points, 0:02",
+        f"game 1: {table.score[1]:g} points, 0:02",
         "video: small-double_dqn-seed-1-2.mp4",
     ]
     assert pictures(tmp_path / "small-double_dqn-seed-1-2.mp4") == (table.length + 1).sum()
