@@ -606,6 +606,6 @@ def views(pictures: dict[str, np.ndarray], said: dict[str, str]) -> Figure:
         axes.imshow(picture, cmap="gray", vmin=0, vmax=255)
         axes.set(xticks=[], yticks=[])
         axes.set_title(title, fontsize="small")
-        axes.set_xlabel(said[title], fontsize="small", color=INK)
+        axes.set_xlabel(said[title], fontsize="x-small", color=INK)  # names nearly as wide
     figure.tight_layout()
     return figure

@@ -1,6 +1,7 @@
 """What a network looks at: how much its values change when a place of what it sees is blurred
 (Greydanus et al., 2018), and the patterns that its first layer looks for."""
 
+import textwrap
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -150,7 +151,7 @@ def figure(observations: dict[str, np.ndarray], networks: dict[str, nn.Module]) 
                     interpolation="bicubic",
                 )
                 if place == 0:
-                    axes.set_title(f"{name}\n{kind}", fontsize="small")
+                    axes.set_title(f"{textwrap.fill(name, 14)}\n{kind}", fontsize="small")
         for axes in row:
             axes.set(xticks=[], yticks=[])
     panels[0][0].set_title("seen\n(newest image)", fontsize="small")
