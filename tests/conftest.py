@@ -23,7 +23,11 @@ SMALL = {
     "evaluation_games": 2,
 }
 
-LONGEST = ("test_report.py", "test_scheduler.py")
+LONGEST = (
+    *("test_report.py", "test_scheduler.py", "test_runs.py", "test_native.py", "test_lab.py"),
+    *("test_benchmarks.py", "test_claims.py", "test_restore.py", "test_training.py"),
+    *("test_video.py", "test_records.py", "test_agents.py", "test_faults.py", "test_wiring.py"),
+)
 
 
 def pytest_collection_modifyitems(items):
