@@ -16,7 +16,7 @@ import pytest
 from conftest import SMALL
 from safetensors.torch import load_file
 
-from atari_dqn import evaluation, params
+from atari_dqn import __main__, evaluation, params
 from atari_dqn.runs import checkpoints, evaluations, recorder
 from atari_dqn.runs.files import RunError, write_atomically
 from atari_dqn.runs.models import load_model
@@ -128,7 +128,7 @@ def test_evaluate_stores_games_beside_those_of_other_settings(finished, tmp_path
     stored = pd.read_csv(folder / "evaluations.csv")
     assert stored.difficulty.tolist() == [0, 0, 3, 3, 3]
     first = (folder / "evaluations.csv").read_bytes()
-    command(*arguments, env=environment)
+    __main__.app([*map(str, arguments)], standalone_mode=False)
     assert (folder / "evaluations.csv").read_bytes() == first, "the same games, once"
 
 
