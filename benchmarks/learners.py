@@ -41,7 +41,7 @@ def compare(experiment: str, agent: str, transitions: int, rounds: int) -> dict[
         changes = {"learner": learner, "device": "cpu", "learning_starts": 0}
         trainers[learner] = Trainer(parameters.model_copy(update=changes), agent, seed=1)
     fill(trainers["native"], transitions)
-    for name in ("games", "memory"):  # one memory of that size is enough: both start from it
+    for name in ("envs", "memory"):  # one memory of that size is enough: both start from it
         getattr(trainers["torch"], name).set_state(getattr(trainers["native"], name).get_state())
     speeds = {learner: [] for learner in trainers}
     for trainer in trainers.values():

@@ -19,12 +19,12 @@ import pandas as pd
 import psutil
 
 from atari_dqn.envs import VectorEnv
-from atari_dqn.games import GAMES
 from atari_dqn.params import Parameters
 from atari_dqn.replay import ReplayMemory
 from atari_dqn.runs.files import project_root
 from atari_dqn.training import prepare_process
 
+GAMES = ("boxing", "breakout")
 BATCH, SAMPLES = 32, 200
 
 

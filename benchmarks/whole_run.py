@@ -36,12 +36,12 @@ def fill(trainer: Trainer, transitions: int) -> None:
     """Random play until the memory holds that many transitions, from some point on the same games
     over and over. The trainer's own count of agent steps stays 0: updates are due by it, and must
     not pile up."""
-    games, memory = trainer.games, trainer.memory
+    envs, memory = trainer.envs, trainer.memory
     rng, played = np.random.default_rng(0), []
     wanted = transitions // memory.streams - 1  # the trainer has stored the first images
     for _ in range(min(wanted, PLAYED // memory.streams)):
-        actions = rng.integers(games.actions, size=memory.streams)
-        step = games.step(actions)
+        actions = rng.integers(envs.actions, size=memory.streams)
+        step = envs.step(actions)
         played.append((step.images.copy(), step.ages, actions, step.rewards, step.terminated))
         memory.append(*played[-1])
     images, ages, *rest = played[0]

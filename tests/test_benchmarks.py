@@ -4,17 +4,22 @@ import shutil
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from atari_dqn import params
-from atari_dqn.runs import checkpoints, recorder
+from atari_dqn.runs import checkpoints, dataset, recorder
+from atari_dqn.runs.models import read_model
 from atari_dqn.runs.run import Run
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 
 import again
+import drift
+import learners
 import soak
 import throughput
+import whole_run
 from throughput import Contestant
 
 FORWARD = {  # float operations an image, by hand: 2 x kernel x inputs x outputs
@@ -122,3 +127,34 @@ def test_a_run_trained_again_is_compared_game_by_game_with_what_is_stored(
     path.write_text("".join([head, ",".join([*fields[:3], "77", *fields[4:]]), *rest]))
     found = again.differences(run, other, 2)
     assert found == ["episodes.csv, episode 1", "games-00001.safetensors"]
+
+
+def test_both_learners_are_timed_in_turns_from_the_same_memory(monkeypatch):
+    monkeypatch.setattr(learners, "TURN", 8)
+    monkeypatch.setattr(learners, "WARM_UP", 8)
+    row = learners.compare("boxing_final", "dqn", transitions=400, rounds=1)
+    assert 400 <= row["transitions"] < 500
+    assert row["low"] <= row["ratio"] <= row["high"]
+    assert min(row["native_steps_per_second"], row["torch_steps_per_second"]) > 0
+
+
+def test_a_whole_process_is_timed_and_goes_on_from_its_checkpoint(tmp_path, small, monkeypatch):
+    monkeypatch.setattr(whole_run, "WARM_UP", 8)
+    monkeypatch.setattr(whole_run, "SAVES", 1)
+    parameters = small(learning_starts=0)
+    row = whole_run.train(parameters, 200, 8, tmp_path)
+    assert row["transitions"] == 200
+    assert row["steps_per_second"] > 0
+    assert row["checkpoint_megabytes"] > 10, "weights and moments of 1.7 million"
+    assert whole_run.resume(parameters, tmp_path)["load_seconds"] >= 0
+
+
+def test_learners_drift_apart_by_rounding_alone(tmp_path, small):
+    run = Run(small(), tmp_path)
+    recorder.train(run)
+    weights = read_model(run.folder / "model.safetensors")
+    memory = dataset.rebuilt_memory(run.folder, 3, 200, seed=1)
+    found = drift.drift(run.params, weights, memory, 4, np.random.default_rng(0))
+    assert found["moved"] > 1e-3
+    assert 0 < found["native"] < found["moved"] / 100
+    assert 0 < found["permuted"] < found["moved"] / 100

@@ -302,6 +302,20 @@ def test_the_state_of_another_network_is_refused():
         plain.learn(batch_of(np.random.default_rng(0), 8, 4, 18))
 
 
+def test_weights_that_lie_on_a_card_are_fetched():
+    class OnCard(torch.Tensor):
+        def __array__(self, *given):
+            raise TypeError("cannot convert cuda:0 device type tensor to numpy")
+
+    ours, other = (
+        NativeLearner(AGENTS["dqn"], 6, Parameters(experiment="any"), seed) for seed in (1, 2)
+    )
+    weights = other.weights()
+    ours.set_weights({name: value.as_subclass(OnCard) for name, value in weights.items()})
+    for name, value in ours.weights().items():
+        torch.testing.assert_close(value, weights[name], rtol=0, atol=0)
+
+
 # ---- Building it ---------------------------------------------------------------------------------
 
 
@@ -381,6 +395,31 @@ def test_a_compiler_that_fails_is_quoted_and_the_next_one_tried(
     assert native.compiled().parent == quick
     monkeypatch.setattr(native, "COMPILERS", ("false",))
     with pytest.raises(Unavailable, match=rf"broken cannot compile quick\.cpp: {told}$"):
+        native.compiled()
+
+
+@pytest.mark.parametrize("nonsense", [" ", '"g++'])
+def test_a_name_that_names_no_compiler_is_told_and_the_next_one_tried(
+    nonsense, quick, monkeypatch
+):
+    monkeypatch.setenv("CXX", nonsense)
+    assert native.compiled().parent == quick
+    monkeypatch.setattr(native, "COMPILERS", ())
+    with pytest.raises(Unavailable, match=f"CXX is {re.escape(repr(nonsense))}, which names no"):
+        native.compiled()
+
+
+def test_another_kind_of_processor_is_named_before_a_compiler_is_asked(monkeypatch):
+    monkeypatch.setattr(native.platform, "machine", lambda: "arm64")
+    monkeypatch.setattr(native.subprocess, "run", lambda *given, **more: pytest.fail("asked"))
+    with pytest.raises(Unavailable, match="this processor, arm64, lacks AVX2 and FMA"):
+        native.compiled()
+
+
+def test_a_cache_that_cannot_be_written_is_named_with_the_way_out(tmp_path, monkeypatch):
+    (tmp_path / "cache").write_text("a file where a folder belongs")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    with pytest.raises(Unavailable, match=r"cache/atari_dqn/native: Not a .*; XDG_CACHE_HOME can"):
         native.compiled()
 
 

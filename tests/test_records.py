@@ -210,6 +210,19 @@ def test_evaluations_come_last_and_take_the_place_of_the_same_games():
     ]
 
 
+def test_checks_of_values_follow_their_games_whenever_another_process_has_done_them():
+    one, two, check = SOME
+    three = ({"kind": "training", "episode": 3}, EpisodeRecord(7, bytes([1]), None))
+    late = records.with_evaluations([one, two, three, check], [])
+    assert late == records.with_evaluations([one, two, check, three], [])
+    assert list(records.read(late, HERE)) == [one, two, check, three]
+
+
+def test_a_game_is_told_from_others_however_late_it_begins():
+    games = [EpisodeRecord(idle, bytes([1, 2]), None) for idle in (1, 255, 256, 257, 600)]
+    assert len({records.digest(game) for game in games}) == len(games)
+
+
 SHORT = {"VALUES_PERIOD": 2, "VALUE_GAMES": 3, "HELD_OUT_STATES": 8}  # of the check of values
 
 

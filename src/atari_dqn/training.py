@@ -70,8 +70,9 @@ class Trainer:
 
     `initial` are weights to start from (`agents.transfer`).
 
-    Deterministic on one machine with one torch thread: the same parameters, agent and seed give
-    the same weights and the same episodes, bit for bit.
+    Deterministic: the same parameters, agent and seed give the same weights and the same episodes,
+    bit for bit, with the native learner on any machine that has it, with PyTorch's on one machine
+    and in one thread.
     """
 
     def __init__(

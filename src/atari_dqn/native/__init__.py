@@ -7,6 +7,7 @@ kept in the user's cache. `python -m atari_dqn.native` does that beforehand, and
 import ctypes
 import hashlib
 import os
+import platform
 import shlex
 import shutil
 import subprocess
@@ -59,9 +60,16 @@ def compiled(flags: tuple[str, ...] = FLAGS, compiler: str | None = None) -> Pat
     that come at the same time each compile it; the last one's file stays, and is the same. Raises
     Unavailable.
     """
+    if (machine := platform.machine()) not in ("x86_64", "AMD64"):
+        raise Unavailable(f"this processor, {machine}, lacks AVX2 and FMA")
     names = [compiler] if compiler else list(filter(None, [os.environ.get("CXX"), *COMPILERS]))
     failed: list[Unavailable] = []
-    for program, *options in map(shlex.split, names):
+    for name in names:
+        try:
+            program, *options = shlex.split(name)
+        except ValueError:  # quotes that do not end, or nothing but spaces
+            failed.append(Unavailable(f"CXX is {name!r}, which names no compiler"))
+            continue
         if (found := shutil.which(program)) is not None:
             try:
                 return _compiled_by([found, *options], flags)
@@ -98,7 +106,8 @@ def _compiled_by(compiler: list[str], flags: tuple[str, ...]) -> Path:
         told = next((line for line in lines if "error" in line or "failed" in line), lines[-1])
         raise Unavailable(f"{compiler[0]} cannot compile {SOURCE.name}: {told}") from None
     except OSError as error:
-        raise Unavailable(f"{error.filename}: {error.strerror}") from None
+        told = f"{error.filename or cache_folder()}: {error.strerror}"
+        raise Unavailable(f"{told}; XDG_CACHE_HOME can name another cache") from None
     return library
 
 
@@ -391,7 +400,8 @@ class NativeLearner:
             shape = self._shape(name, views[name])
             if tuple(value.shape) != shape:
                 raise ValueError(f"{name} has shape {tuple(value.shape)}, not {shape}")
-            views[name][...] = np.asarray(value, np.float32).reshape(views[name].shape)
+            values = torch.as_tensor(value).float().cpu().numpy()
+            views[name][...] = values.reshape(views[name].shape)
 
     def _unpack(self, flat: np.ndarray) -> dict[str, Tensor]:
         return {

@@ -238,7 +238,8 @@ class Recorder:
         return self.seconds + time.monotonic() - self.clock
 
     def cpu_now(self) -> float:
-        """Seconds of a processor's time that training has taken so far, likewise."""
+        """Seconds of a processor's time that this process has trained so far, likewise; those of
+        further emulator processes do not count."""
         return self.cpu_seconds + time.process_time() - self.cpu_clock
 
     def log(self, episode: Episode) -> None:

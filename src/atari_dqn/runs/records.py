@@ -139,9 +139,11 @@ def _check_number(key: str, value: Any) -> None:
 
 
 def with_evaluations(games: list[Game], new: list[Game]) -> bytes:
-    """The bytes of a file with all these games: those of training first, in their order, and the
-    `new` ones in the place of evaluation games with the same headings."""
+    """The bytes of a file with all these games: those of training first, each check of values after
+    the game that it followed, whenever its process was done; then those of evaluation, where `new`
+    ones take the place of others with the same headings."""
     training = [game for game in games if game[0]["kind"] != EVALUATION]
+    training.sort(key=lambda game: (game[0]["episode"], game[0]["kind"] == VALUES))
     evaluated = {
         tuple(game[0][name] for name in KEYS[EVALUATION]): game
         for game in [*games, *new]
@@ -171,7 +173,8 @@ def read_file(folder: Path, torn: bool = False) -> list[Game]:
 
 def digest(record: EpisodeRecord) -> str:
     """Eight hexadecimal digits that tell an episode from others."""
-    return hashlib.sha256(bytes([record.idle_frames]) + bytes(record.actions)).hexdigest()[:8]
+    idle = record.idle_frames.to_bytes(1 if record.idle_frames < 256 else 2)
+    return hashlib.sha256(idle + bytes(record.actions)).hexdigest()[:8]
 
 
 def settings(params: Parameters, heading: Heading) -> Parameters:
