@@ -399,9 +399,7 @@ def test_a_compiler_that_fails_is_quoted_and_the_next_one_tried(
 
 
 @pytest.mark.parametrize("nonsense", [" ", '"g++'])
-def test_a_name_that_names_no_compiler_is_told_and_the_next_one_tried(
-    nonsense, quick, monkeypatch
-):
+def test_a_name_that_names_no_compiler_is_told_and_the_next_one_tried(nonsense, quick, monkeypatch):
     monkeypatch.setenv("CXX", nonsense)
     assert native.compiled().parent == quick
     monkeypatch.setattr(native, "COMPILERS", ())

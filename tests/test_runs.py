@@ -19,7 +19,7 @@ from safetensors.torch import load_file
 from atari_dqn import __main__, evaluation, params
 from atari_dqn.runs import checkpoints, evaluations, recorder
 from atari_dqn.runs.files import RunError, write_atomically
-from atari_dqn.runs.models import load_model
+from atari_dqn.runs.models import load_model, read_model, untrained
 from atari_dqn.runs.run import Run
 from atari_dqn.training import Episode, Trainer
 
@@ -502,9 +502,24 @@ def test_a_transfer_run_starts_from_the_finished_model_it_names(tmp_path, small)
     with pytest.raises(RunError, match="starts from small/double_dqn/seed-1, which"):
         recorder.train(run)
     assert not (run.folder / "episodes.csv").exists()
-    recorder.train(Run(small(episodes=1), tmp_path))
+    source = Run(small(episodes=1), tmp_path)
+    recorder.train(source)
     recorder.train(run)
     assert run.state() == "complete"
+    learned, began = read_model(source.folder / "model.safetensors"), untrained(run).state_dict()
+    assert [name for name in began if not began[name].equal(learned[name])] == [
+        "output.weight",
+        "output.bias",
+    ]
+
+
+def test_the_network_that_a_run_began_with_can_be_had_again(tmp_path, small):
+    for seed in (1, 2):
+        run = Run(small(seeds=[seed]), tmp_path)
+        weights = Trainer(run.params, run.agent, seed).learner.weights()
+        network = untrained(run).state_dict()
+        assert network.keys() == weights.keys()
+        assert all(network[name].equal(weights[name]) for name in weights)
 
 
 @pytest.mark.parametrize(

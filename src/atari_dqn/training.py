@@ -46,6 +46,11 @@ def prepare_process() -> None:
             libc.mallopt(option, value)
 
 
+def weights_seed(seed: int) -> int:
+    """What a run's initial weights are drawn from, by the run's seed."""
+    return int(np.random.SeedSequence(seed).spawn(4)[3].generate_state(1)[0])
+
+
 @dataclass(frozen=True)
 class Episode:
     """One finished training game, a row of episodes.csv."""
@@ -82,12 +87,12 @@ class Trainer:
         seed: int,
         initial: dict[str, torch.Tensor] | None = None,
     ):
-        seeds = np.random.SeedSequence(seed).spawn(4)
+        seeds = np.random.SeedSequence(seed).spawn(3)  # the next is that of `weights_seed`
         self.params = params
         self.envs = new_vector_env(params, seeds[0])
         self.rng = np.random.default_rng(seeds[2])  # exploration
-        weights_seed = int(seeds[3].generate_state(1)[0])
-        self.learner = new_learner(AGENTS[agent], self.envs.actions, params, weights_seed, initial)
+        given = AGENTS[agent], self.envs.actions, params, weights_seed(seed), initial
+        self.learner = new_learner(*given)
         self.memory = new_memory(params, seeds[1], self.learner.device)
         self.agent_steps, self.episodes, self.frames = 0, 0, 0
         self.sums = np.zeros(3)  # loss, Q-value, updates since games last finished

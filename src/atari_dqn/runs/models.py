@@ -6,12 +6,13 @@ from typing import Any
 import torch
 from torch import nn
 
-from atari_dqn.agents import AGENTS, torch_device
+from atari_dqn.agents import AGENTS, initial_network, torch_device
 from atari_dqn.envs import make_env
 from atari_dqn.params import Parameters, shown, stored_parameters
 from atari_dqn.runs import weights
 from atari_dqn.runs.files import RunError, model_file
 from atari_dqn.runs.run import COMPLETE, Run
+from atari_dqn.training import weights_seed
 
 
 def model_bytes(state: dict[str, torch.Tensor], games: int) -> bytes:
@@ -44,6 +45,15 @@ def load_model(path: Path, parameters: Parameters) -> nn.Module:
         said = " ".join(str(error).split())
         raise RunError(f"{path} cannot be read: {shown(said)}") from None
     return network.requires_grad_(False).to(torch_device(parameters.device))
+
+
+def untrained(run: Run) -> nn.Module:
+    """The network that a run began with. Raises RunError as `initial_weights` does."""
+    agent, actions = AGENTS[run.agent], len(make_env(run.params).actions)
+    network = initial_network(
+        agent, actions, run.params, weights_seed(run.seed), initial_weights(run)
+    )
+    return network.requires_grad_(False)
 
 
 def stored(run: Run) -> dict[int, Path]:
