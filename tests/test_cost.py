@@ -193,6 +193,16 @@ def test_a_gain_beyond_the_number_of_cores_is_owned_to_be_noise(folder, shown):
     assert said == [2, 2.1, 2, 1.2, 2, 95, 105, 2, 190, 220], "then the range of one, and of two"
 
 
+def test_what_rounding_does_is_told_in_medians_and_ranges(folder, shown):
+    cost.show_drift()
+    assert shown.texts == [], "nothing was measured"
+    columns = {"moved": [1.0, 3.0, 2.0], "native": [0.4, 0.1, 0.3], "permuted": [0.2, 0.25, 0.05]}
+    pd.DataFrame({"updates": 200, **columns}).to_csv(folder / "drift.csv")
+    cost.show_drift()
+    middle, ranges = [2.0, 0.3, 0.2], [0.1, 0.4, 0.05, 0.25]
+    assert numbers(shown.texts[-1]) == [200, *middle, 3, *ranges]
+
+
 def test_the_learners_speeds_stand_under_their_names(folder, shown):
     row = {"experiment": "boxing_final", "agent": DOUBLE, "native_steps_per_second": 180.0}
     row |= {"torch_steps_per_second": 90.0, "ratio": 2.0, "low": 1.9, "high": 2.2}

@@ -186,6 +186,24 @@ def show_learners() -> None:
     )
 
 
+def show_drift() -> None:
+    """How far rounding takes the learners apart, beside what it does to PyTorch's alone."""
+    path = project_root() / FOLDER / "drift.csv"
+    if not path.exists():
+        return
+    measured = pd.read_csv(path)
+    middle = measured[["moved", "native", "permuted"]].median()
+    show_text(
+        f"Rounding alone takes two learners apart, since each update starts from what the last one "
+        f"left. Given the same batches for {measured.updates.max()} updates from the last weights "
+        f"of finished runs, PyTorch's weights move by {middle.moved:.2f}, the native learner's end "
+        f"{middle.native:.2f} from them, and those of PyTorch itself with the transitions of each "
+        f"batch in another order {middle.permuted:.2f} (medians of {len(measured)}, over which the "
+        f"latter two run from {measured.native.min():.2f} to {measured.native.max():.2f} and from "
+        f"{measured.permuted.min():.2f} to {measured.permuted.max():.2f}; Euclidean distances)."
+    )
+
+
 def show_breakdown() -> None:
     """Where the time of an update goes."""
     path = project_root() / FOLDER / "breakdown.csv"
