@@ -7,6 +7,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")  # results depend on it, and tests
 import pytest
 import torch
 
+from atari_dqn import native
 from atari_dqn.params import Parameters
 
 SMALL = {
@@ -30,9 +31,18 @@ LONGEST = (
 )
 
 
-def pytest_collection_modifyitems(items):
-    """The longest files first: begun last, one would keep a core busy while the other idles."""
+def pytest_collection_modifyitems(config, items):
+    """The longest files first: begun last, one would keep a core busy while the other idles. And
+    tests that need the native learner, by a marker or their names, only where it can be had."""
     items.sort(key=lambda item: item.path.name not in LONGEST)
+    try:
+        native.load()
+    except native.Unavailable as error:
+        config.addinivalue_line("filterwarnings", "ignore:PyTorch learns:UserWarning")
+        skipped = pytest.mark.skip(reason=f"the native learner cannot be had: {error}")
+        for item in items:
+            if "native" in item.nodeid or item.get_closest_marker("native"):
+                item.add_marker(skipped)
 
 
 @pytest.fixture(autouse=True)

@@ -96,6 +96,16 @@ def doubled(weights):
 
 
 @both_learners
+def test_weights_that_were_asked_for_stay_as_they_were(make, small):
+    learner = make(AGENTS["dueling_double_dqn"], 18, small(device="cpu"), 1)
+    before = learner.weights()
+    copied = {name: value.clone() for name, value in before.items()}
+    learner.learn(batch_of(4, np.random.default_rng(0)))
+    assert all(before[name].equal(copied[name]) for name in copied)
+    assert not learner.weights()["advantage_output.bias"].equal(copied["advantage_output.bias"])
+
+
+@both_learners
 @pytest.mark.parametrize("agent", AGENTS)
 def test_one_update_equals_an_independent_computation(agent, make, small):
     """Target, loss, gradient and Adam's step, in 64 bits and without any of our code."""

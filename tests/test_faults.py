@@ -25,6 +25,7 @@ from atari_dqn.runs.files import RunError
 from atari_dqn.runs.run import Run
 
 
+@pytest.mark.native
 def test_a_loss_that_is_not_finite_stops_the_run_and_the_last_checkpoint_is_kept(
     tmp_path, small, monkeypatch
 ):
@@ -274,6 +275,7 @@ def on_a_disk(tmp_path_factory):
     return SimpleNamespace(folder=folder, told=json.loads(done.stdout.splitlines()[-1]))
 
 
+@pytest.mark.native
 def test_a_run_on_a_full_disk_says_so_and_goes_on_when_there_is_room(
     on_a_disk, tmp_path, monkeypatch
 ):
@@ -293,6 +295,7 @@ def test_a_run_on_a_full_disk_says_so_and_goes_on_when_there_is_room(
         ).read_bytes(), name
 
 
+@pytest.mark.native
 def test_what_is_made_of_a_run_on_a_full_disk_is_whole_or_not_there(on_a_disk):
     told = on_a_disk.told
     for name, file in (("evaluated", "games.jsonl.zst"), ("exported", "games.npz")):
@@ -304,6 +307,7 @@ def test_what_is_made_of_a_run_on_a_full_disk_is_whole_or_not_there(on_a_disk):
     assert told["half files"] == []
 
 
+@pytest.mark.native
 def test_a_folder_that_cannot_be_written_to_is_read_all_the_same(on_a_disk):
     told = on_a_disk.told
     assert told["status"] == "interrupted"

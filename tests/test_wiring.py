@@ -326,6 +326,7 @@ def _(make, *_):
     assert len(make(environments=4, emulator_processes=3).envs.others) == 2
 
 
+@pytest.mark.native  # some cases: both learners are asked
 @pytest.mark.parametrize("names", CASES, ids=", ".join)
 def test_it_reaches_its_place(names, make, monkeypatch, tmp_path):
     CASES[names](make, monkeypatch, tmp_path)

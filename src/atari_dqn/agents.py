@@ -134,8 +134,8 @@ class Learner:
         return torch.from_numpy(array).to(self.device)
 
     def weights(self) -> dict[str, Tensor]:
-        """The online network's."""
-        return self.online.state_dict()
+        """The online network's, as copies, which further updates leave alone."""
+        return {name: weight.clone() for name, weight in self.online.state_dict().items()}
 
     def set_weights(self, weights: dict[str, Tensor]) -> None:
         """Replaces the online network's."""

@@ -297,7 +297,7 @@ class NativeLearner:
         self.learning_rate = rate
 
     def weights(self) -> dict[str, Tensor]:
-        """The online network's, by the names that the PyTorch network has for them."""
+        """The online network's, as copies, by the names that the PyTorch network has for them."""
         return self._unpack(self._online)
 
     def set_weights(self, weights: dict[str, Tensor]) -> None:
