@@ -129,6 +129,7 @@ def test_a_run_trained_again_is_compared_game_by_game_with_what_is_stored(
     assert found == ["episodes.csv, episode 1", "games-00001.safetensors"]
 
 
+@pytest.mark.native
 def test_both_learners_are_timed_in_turns_from_the_same_memory(monkeypatch):
     monkeypatch.setattr(learners, "TURN", 8)
     monkeypatch.setattr(learners, "WARM_UP", 8)
@@ -149,6 +150,7 @@ def test_a_whole_process_is_timed_and_goes_on_from_its_checkpoint(tmp_path, smal
     assert whole_run.resume(parameters, tmp_path)["load_seconds"] >= 0
 
 
+@pytest.mark.native
 def test_learners_drift_apart_by_rounding_alone(tmp_path, small):
     run = Run(small(), tmp_path)
     recorder.train(run)

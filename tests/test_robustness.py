@@ -3,6 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
+import torch
 from conftest import SMALL
 from synthetic import evaluate, store
 
@@ -151,6 +152,12 @@ def test_a_view_exchanges_left_and_right_where_it_says(small, game, condition):
     np.testing.assert_array_equal(seen[:, ~where], before[:, ~where])
     np.testing.assert_array_equal(seen[:, where], before[:, :, ::-1][:, where])
     np.testing.assert_array_equal(field, field[:, ::-1])
+
+
+@pytest.mark.parametrize("game", ["boxing", "breakout"])
+def test_pytorch_can_be_shown_every_view(small, game):
+    for view in robustness.views(small(game=game)).values():
+        torch.from_numpy(view(np.zeros((2, 84, 84, 4), np.uint8)))  # it takes no negative strides
 
 
 def test_a_bar_is_seen_at_the_other_edge_or_not_at_all_and_all_else_as_it_is(small):

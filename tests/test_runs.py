@@ -64,6 +64,7 @@ def finished(tmp_path_factory):
     return folder / "runs" / "small" / "double_dqn" / "seed-3", result, environment
 
 
+@pytest.mark.native
 def test_a_finished_runs_folder_holds_all_it_promises(finished):
     folder, result, _ = finished
     found = {path.name for path in folder.iterdir()}
@@ -421,6 +422,7 @@ def test_a_run_whose_folder_was_lost_comes_back_whole_from_its_checkpoint(tmp_pa
     assert (run.folder / "snapshots" / "games-00001.safetensors").exists()
 
 
+@pytest.mark.native
 def test_a_resume_that_may_give_other_bits_is_told(tmp_path, small, monkeypatch):
     """PyTorch's depend on the processor, the native learner's do not."""
     run = Run(small(episodes=1, learner="torch"), tmp_path)

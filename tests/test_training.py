@@ -160,6 +160,7 @@ def test_updates_are_due_every_period_after_learning_starts(small):
     assert trainer.agent_steps == 78, "two of the 80 begin games"
 
 
+@pytest.mark.native
 def test_exploration_and_learning_rate_follow_the_games_finished_before(small, monkeypatch):
     schedule = {"epsilon_start": 0.8, "epsilon_decay": 0.5, "epsilon_floor": 0.15}
     warmup = {"warmup_games": 4, "warmup_learning_rate": 1e-5, "learning_rate": 5e-5}

@@ -159,7 +159,7 @@ def views(params: Parameters) -> dict[str, View]:
     """What is seen under each condition that there is in a game."""
     facts = GAMES[params.game]
     found: dict[str, View] = {
-        MIRRORED: lambda observations: observations[:, :, ::-1],
+        MIRRORED: lambda observations: observations[:, :, ::-1].copy(),
         SCOREBOARD: _scoreboard_frozen(params),
     }
     if facts.field is not None:
