@@ -407,6 +407,16 @@ def test_a_name_that_names_no_compiler_is_told_and_the_next_one_tried(nonsense, 
         native.compiled()
 
 
+@pytest.mark.parametrize(("found", "wide"), [("AVX512", True), ("AVX2", False), ("DEFAULT", False)])
+def test_wide_registers_are_used_where_there_are_any(found, wide, quick, tmp_path, monkeypatch):
+    monkeypatch.setattr(torch.backends.cpu, "get_cpu_capability", lambda: found)
+    compiler = tmp_path / "compiler"
+    compiler.write_text('#!/bin/sh\necho "$@" > "$0.said"; exec c++ "$@"\n')
+    compiler.chmod(0o755)
+    native.compiled(compiler=str(compiler))
+    assert ("-mavx512f" in compiler.with_name("compiler.said").read_text().split()) == wide
+
+
 def test_another_kind_of_processor_is_named_before_a_compiler_is_asked(monkeypatch):
     monkeypatch.setattr(native.platform, "machine", lambda: "arm64")
     monkeypatch.setattr(native.subprocess, "run", lambda *given, **more: pytest.fail("asked"))
@@ -537,7 +547,7 @@ def test_updates_of_every_shape_touch_no_memory_but_their_own_and_give_it_back(t
     assert source.count(ROUNDED) == 1
     exact = source.replace(ROUNDED, "std::malloc(n * sizeof(X))")
     (tmp_path / "learner.cpp").write_text(exact)
-    flags = [flag for flag in native.FLAGS if flag not in ("-O3", "-shared", "-fPIC")]
+    flags = [flag for flag in native.flags_here() if flag not in ("-O3", "-shared", "-fPIC")]
     fuzz, program = Path(__file__).with_name("fuzz_learner.cpp"), tmp_path / "fuzz"
     build = [compiler, *flags, *SANITIZED, "-I", tmp_path, fuzz, "-o", program]
     done = subprocess.run(build, capture_output=True, text=True)

@@ -39,6 +39,7 @@ COMPILERS = ("c++", "g++", "clang++")
 # No compiler may join or reorder float operations, so that all of them give the same bits
 EXACT = ("-ffp-contract=off", "-fno-fast-math")
 FLAGS = ("-std=c++20", "-O3", "-mavx2", "-mfma", *EXACT, "-shared", "-fPIC")
+WIDE = ("-mavx512f",)  # besides, where the processor has it: the same bits, with registers as wide
 
 
 class Unavailable(RuntimeError):
@@ -53,8 +54,14 @@ def cache_folder() -> Path:
     return Path(base) / "atari_dqn" / "native"
 
 
-def compiled(flags: tuple[str, ...] = FLAGS, compiler: str | None = None) -> Path:
-    """The library, compiled if this compiler has not yet compiled this source with these flags.
+def flags_here() -> tuple[str, ...]:
+    """FLAGS, and WIDE if PyTorch finds AVX-512 here."""
+    return (*FLAGS, *WIDE) if torch.backends.cpu.get_cpu_capability() == "AVX512" else FLAGS
+
+
+def compiled(flags: tuple[str, ...] | None = None, compiler: str | None = None) -> Path:
+    """The library, compiled if this compiler has not yet compiled this source with these flags, by
+    default `flags_here`.
 
     By default the compiler that CXX names, or the first of COMPILERS, that can do it. Processes
     that come at the same time each compile it; the last one's file stays, and is the same. Raises
@@ -62,6 +69,7 @@ def compiled(flags: tuple[str, ...] = FLAGS, compiler: str | None = None) -> Pat
     """
     if (machine := platform.machine()) not in ("x86_64", "AMD64"):
         raise Unavailable(f"this processor, {machine}, lacks AVX2 and FMA")
+    flags = flags_here() if flags is None else flags
     names = [compiler] if compiler else list(filter(None, [os.environ.get("CXX"), *COMPILERS]))
     failed: list[Unavailable] = []
     for name in names:

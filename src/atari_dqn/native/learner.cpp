@@ -15,7 +15,8 @@
 // are fused where this file says so and nowhere else (-ffp-contract=off, -fno-fast-math), and no
 // function whose rounding is not specified is called. A product sums over k = 0, 1, 2, ... in this
 // order, however its loops are blocked. Hence the same bits from any compiler on any processor
-// with AVX2 and FMA, and for an observation alone or within a batch, while weights are finite.
+// with AVX2 and FMA, with or without AVX-512, and for an observation alone or within a batch, while
+// weights are finite.
 //
 // Letters: B batch, S frame stack, A actions, K input channels, N output channels, T tiles.
 
@@ -34,9 +35,41 @@
 
 #define INLINE static inline __attribute__((always_inline))
 
-// ---- 16 floats at once: two registers of AVX2 ---------------------------------------------------
+// ---- 16 floats at once: a register of AVX-512, or two of AVX2 -------------------------------------
+//
+// Both give the same bits: each of the 16 is computed by itself, as IEEE 754 says.
 
 constexpr int LANES = 16;
+
+#ifdef __AVX512F__
+constexpr int MOST_ROWS = 12;  // of a product, whose sums then fill half of the 32 registers
+
+struct Lanes {
+  __m512 x;
+};
+INLINE Lanes zero() { return {_mm512_setzero_ps()}; }
+INLINE Lanes splat(float a) { return {_mm512_set1_ps(a)}; }
+INLINE Lanes load(const float* p) { return {_mm512_loadu_ps(p)}; }
+INLINE Lanes load(const uint8_t* p) {
+  return {_mm512_cvtepi32_ps(_mm512_cvtepu8_epi32(_mm_loadu_si128((const __m128i*)p)))};
+}
+INLINE void store(float* p, Lanes a) { _mm512_storeu_ps(p, a.x); }
+INLINE Lanes operator+(Lanes a, Lanes b) { return {_mm512_add_ps(a.x, b.x)}; }
+INLINE Lanes operator-(Lanes a, Lanes b) { return {_mm512_sub_ps(a.x, b.x)}; }
+INLINE Lanes operator*(Lanes a, Lanes b) { return {_mm512_mul_ps(a.x, b.x)}; }
+INLINE Lanes operator/(Lanes a, Lanes b) { return {_mm512_div_ps(a.x, b.x)}; }
+INLINE Lanes fma(Lanes a, Lanes b, Lanes c) { return {_mm512_fmadd_ps(a.x, b.x, c.x)}; }
+INLINE Lanes root(Lanes a) { return {_mm512_sqrt_ps(a.x)}; }
+INLINE Lanes relu(Lanes a) {  // the order of the arguments lets NaN through
+  return {_mm512_max_ps(_mm512_setzero_ps(), a.x)};
+}
+INLINE Lanes where_positive(Lanes y, Lanes a) {  // a where y > 0, else 0
+  return {_mm512_maskz_mov_ps(_mm512_cmp_ps_mask(y.x, _mm512_setzero_ps(), _CMP_GT_OQ), a.x)};
+}
+INLINE unsigned nonzero(Lanes a) {  // a bit for each of the 16
+  return _mm512_cmp_ps_mask(a.x, _mm512_setzero_ps(), _CMP_NEQ_UQ);
+}
+#else
 constexpr int MOST_ROWS = 6;  // of a product, which then fills 12 of the 16 registers
 
 struct Lanes {
@@ -74,6 +107,7 @@ INLINE unsigned nonzero(Lanes a) {  // a bit for each of the 16
   return _mm256_movemask_ps(_mm256_cmp_ps(a.x, none, _CMP_NEQ_UQ)) |
          _mm256_movemask_ps(_mm256_cmp_ps(a.y, none, _CMP_NEQ_UQ)) << 8;
 }
+#endif
 
 // Denormal numbers count as zero, as in the PyTorch learner: Adam's dying moments would be slow.
 struct FlushDenormals {
@@ -118,15 +152,15 @@ INLINE void product_rows(int K, const float* A, Row row, KA ka, const float* B, 
                          long ldc, bool add) {
   Lanes c[R];
   const float* a[R];
-#pragma GCC unroll 6
+#pragma GCC unroll 16
   for (int i = 0; i < R; i++) c[i] = add ? load(C + i * ldc) : zero(), a[i] = A + row(i);
   for (int k = 0; k < K; k++) {
     const Lanes b = load(B + kb(k));
     const long at = ka(k);
-#pragma GCC unroll 6
+#pragma GCC unroll 16
     for (int i = 0; i < R; i++) c[i] = fma(splat(a[i][at]), b, c[i]);
   }
-#pragma GCC unroll 6
+#pragma GCC unroll 16
   for (int i = 0; i < R; i++) store(C + i * ldc, c[i]);
 }
 
@@ -1017,6 +1051,9 @@ struct Learner {
 extern "C" {
 
 bool processor_suffices() {
+#ifdef __AVX512F__
+  if (!__builtin_cpu_supports("avx512f")) return false;
+#endif
   return __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma");
 }
 
