@@ -137,12 +137,20 @@ template <class X> struct Buffer {  // memory that grows when more is wanted; it
 
 // Where element number i of a sequence is: at equal distances, or in a list of places.
 struct Stride {
+  static constexpr bool EVEN = true;
   long by;
   long operator()(int i) const { return i * by; }
 };
 struct Places {
+  static constexpr bool EVEN = false;
   const int* places;
   long operator()(int i) const { return places[i]; }
+};
+template <class Sequence> struct From {  // a sequence from its element number `first` on
+  static constexpr bool EVEN = Sequence::EVEN;
+  Sequence all;
+  int first;
+  long operator()(int i) const { return all(first + i); }
 };
 
 // C[R][16] = (add ? C : 0) + sum_k A[R][k] B[k][16]; element k of A's row i is A[row(i) + ka(k)],
@@ -154,11 +162,14 @@ INLINE void product_rows(int K, const float* A, Row row, KA ka, const float* B, 
   const float* a[R];
 #pragma GCC unroll 16
   for (int i = 0; i < R; i++) c[i] = add ? load(C + i * ldc) : zero(), a[i] = A + row(i);
+  const long by = Row::EVEN ? row(1) - row(0) : 0;
   for (int k = 0; k < K; k++) {
     const Lanes b = load(B + kb(k));
-    const long at = ka(k);
+    // rows at equal distances are reached from every third: else there are too few registers
+    const long at = ka(k), next[] = {at, at + by, at + 2 * by};
 #pragma GCC unroll 16
-    for (int i = 0; i < R; i++) c[i] = fma(splat(a[i][at]), b, c[i]);
+    for (int i = 0; i < R; i++)
+      c[i] = fma(splat(Row::EVEN ? a[i / 3 * 3][next[i % 3]] : a[i][at]), b, c[i]);
   }
 #pragma GCC unroll 16
   for (int i = 0; i < R; i++) store(C + i * ldc, c[i]);
@@ -181,9 +192,8 @@ static void product(int M, int K, const float* A, Row row, KA ka, const float* B
     for (int block = 0, first = 0; block < blocks; block++) {
       const int rows = M / blocks + (block < M % blocks);
       choose_rows<MOST_ROWS>(
-          rows, some, A, [&](int i) { return row(first + i); },
-          [&](int i) { return ka(k + i); }, B, [&](int i) { return kb(k + i); }, C + first * ldc,
-          ldc, add || k > 0);
+          rows, some, A, From<Row>{row, first}, From<KA>{ka, k}, B, From<KB>{kb, k},
+          C + first * ldc, ldc, add || k > 0);
       first += rows;
     }
   }
