@@ -4,8 +4,13 @@
 
 Every agent on Boxing as params/boxing_final.yaml has it, and Double DQN on Breakout with a batch of
 64: two trainers with full replay memories take turns of a few hundred agent steps, and their CPU
-time is counted. Writes learners.csv into results/benchmarks/: agent steps a CPU second of both, and
-the ratio with the 90% interval of its median over the rounds.
+time is counted. Writes learners.csv into results/benchmarks/: agent steps per CPU second of both,
+and the ratio with the 90% interval of its median over the rounds; in place of what it has of the
+same processor and instructions. Where there is AVX-512,
+
+    ATEN_CPU_CAPABILITY=avx2 ONEDNN_MAX_CPU_ISA=AVX2 python benchmarks/learners.py
+
+measures how fast both are without it.
 """
 
 import argparse
@@ -14,6 +19,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+import torch
 from whole_run import fill
 
 from atari_dqn import params
@@ -23,6 +29,7 @@ from atari_dqn.runs.recorder import processor
 from atari_dqn.training import Trainer, prepare_process
 
 TURN, WARM_UP = 320, 320  # agent steps
+MACHINE = ["processor", "instructions"]
 CASES = [*(("boxing_final", agent) for agent in AGENTS), ("breakout_final", "double_dqn")]
 
 
@@ -63,6 +70,7 @@ def compare(experiment: str, agent: str, transitions: int, rounds: int) -> dict[
         "rounds": rounds,
         "transitions": len(trainers["native"].memory),
         "processor": processor(),
+        "instructions": torch.backends.cpu.get_cpu_capability(),
     }
 
 
@@ -77,8 +85,12 @@ def main() -> None:
     for experiment, agent in CASES:
         rows.append(compare(experiment, agent, chosen.transitions, chosen.rounds))
         print(rows[-1], flush=True)
-    chosen.output.mkdir(parents=True, exist_ok=True)
-    pd.DataFrame(rows).to_csv(chosen.output / "learners.csv", index=False)
+    path, table = chosen.output / "learners.csv", pd.DataFrame(rows)
+    if path.exists():
+        before = pd.read_csv(path)
+        others = ~before.set_index(MACHINE).index.isin(table.set_index(MACHINE).index)
+        table = pd.concat([before[others], table])
+    table.to_csv(path, index=False)
 
 
 if __name__ == "__main__":

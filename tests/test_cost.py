@@ -206,10 +206,13 @@ def test_what_rounding_does_is_told_in_medians_and_ranges(folder, shown):
 def test_the_learners_speeds_stand_under_their_names(folder, shown):
     row = {"experiment": "boxing_final", "agent": DOUBLE, "native_steps_per_second": 180.0}
     row |= {"torch_steps_per_second": 90.0, "ratio": 2.0, "low": 1.9, "high": 2.2}
+    row |= {"processor": "Some Xeon", "instructions": "AVX512"}
     pd.DataFrame([{**row, "transitions": 1_000_000}]).to_csv(folder / "learners.csv")
     cost.show_learners()
     (found,) = shown.tables["tbl-learners"]
     assert (found["agent"], found["PyTorch"], found["native"]) == ("Double DQN", "90.0", "180.0")
+    assert found["instructions"] == "AVX-512"
+    assert "Processor: Some Xeon." in shown.captions["tbl-learners"]
     assert numbers(found["speed-up"]) == [2.0, 1.9, 2.2]
     assert numbers(shown.captions["tbl-learners"])[:2] == [1_000_000, 90]
 

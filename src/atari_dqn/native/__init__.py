@@ -1,4 +1,4 @@
-"""The learner in C++: the same update as `agents.Learner`, about twice as fast on a CPU.
+"""The learner in C++: the same update as `agents.Learner`, in about half the time on a CPU.
 
 `learner.cpp`, which says how, is compiled by the system's C++ compiler when it is first needed and
 kept in the user's cache. `python -m atari_dqn.native` does that beforehand, and says how it went.

@@ -168,6 +168,7 @@ def show_learners() -> None:
         {
             "run": [TITLES[name] for name in measured.experiment],
             "agent": measured.agent.map(lambda agent: params.title(agent)),
+            "instructions": measured.instructions.replace("AVX512", "AVX-512"),
             "PyTorch": measured.torch_steps_per_second,
             "native": measured.native_steps_per_second,
             "speed-up": [
@@ -181,7 +182,9 @@ def show_learners() -> None:
         label=label,
         caption="Agent steps per second of processor time with either learner, everything included "
         f"and {measured.transitions.min():,} transitions stored: the same loop in turns, and how "
-        "many times as fast the native one is (90% interval of the median).",
+        "many times as fast the native one is (90% interval of the median). Rows with AVX2 on "
+        "a processor that has AVX-512 too are for comparison. Processor: "
+        f"{', '.join(measured.processor.unique())}.",
         decimals=1,
     )
 
