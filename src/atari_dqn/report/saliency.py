@@ -91,13 +91,10 @@ def show_spreads(section: Section) -> pd.DataFrame:
     """How far apart values lie between the states of a game, and between the actions in one, to
     every stored network of the section's runs; returns the table."""
     table, rows = f"tbl-{section.slug}-spreads", list[dict[str, object]]()
-    found = ((run, record) for run in section.usable if (record := first_evaluated(run)))
-    player, record = next(found, (None, None))
-    if player is None or record is None:
+    if (game := first_game(section)) is None:
         show_placeholders(table)
         return pd.DataFrame(rows)
-    game, stack = trajectory(player.params, record), player.params.frame_stack
-    seen = np.stack([observation_at(game, step, stack) for step in range(len(game.actions))])
+    player, seen = game
     for run in section.usable:
         heading: dict[str, object] = {"agent": params.title(run.agent)}
         if len(section.params.seeds) > 1:
@@ -117,6 +114,17 @@ def show_spreads(section: Section) -> pd.DataFrame:
         decimals=2,
     )
     return pd.DataFrame(rows)
+
+
+def first_game(section: Section) -> tuple[Run, np.ndarray] | None:
+    """The first of a section's runs that has been evaluated, and what it saw in its first
+    evaluation game, bytes [steps, 84, 84, stack]; None before."""
+    for run in section.usable:
+        if (record := first_evaluated(run)) is not None:
+            game, stack = trajectory(run.params, record), run.params.frame_stack
+            steps = range(len(game.actions))
+            return run, np.stack([observation_at(game, step, stack) for step in steps])
+    return None
 
 
 def observation_at(game: Trajectory, step: int, stack: int) -> np.ndarray:
