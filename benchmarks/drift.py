@@ -80,6 +80,7 @@ def main() -> None:
             distances = {name: float(f"{distance:.3g}") for name, distance in found.items()}
             rows.append({**heading, "updates": chosen.updates, **distances})
             print(rows[-1], flush=True)
+    chosen.output.mkdir(parents=True, exist_ok=True)
     table = pd.DataFrame(rows).assign(processor=processor())
     table.to_csv(chosen.output / "drift.csv", index=False)
 

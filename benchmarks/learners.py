@@ -8,7 +8,8 @@ time is counted. Writes learners.csv into results/benchmarks/: agent steps per C
 and the ratio with the 90% interval of its median over the rounds; in place of what it has of the
 same processor and instructions. Where there is AVX-512,
 
-    ATEN_CPU_CAPABILITY=avx2 ONEDNN_MAX_CPU_ISA=AVX2 python benchmarks/learners.py
+    export ATEN_CPU_CAPABILITY=avx2 ONEDNN_MAX_CPU_ISA=AVX2 MKL_ENABLE_INSTRUCTIONS=AVX2
+    python benchmarks/learners.py
 
 measures how fast both are without it.
 """
@@ -85,6 +86,7 @@ def main() -> None:
     for experiment, agent in CASES:
         rows.append(compare(experiment, agent, chosen.transitions, chosen.rounds))
         print(rows[-1], flush=True)
+    chosen.output.mkdir(parents=True, exist_ok=True)
     path, table = chosen.output / "learners.csv", pd.DataFrame(rows)
     if path.exists():
         before = pd.read_csv(path)

@@ -42,7 +42,13 @@ def test_the_dueling_agent_is_double_dqn_with_another_network():
 
 
 LEARNERS = {"torch": Learner, "native": NativeLearner}
-both_learners = pytest.mark.parametrize("make", LEARNERS.values(), ids=LEARNERS)
+both_learners = pytest.mark.parametrize(
+    "make",
+    [
+        pytest.param(learner, id=name, marks=[pytest.mark.native] * (name == "native"))
+        for name, learner in LEARNERS.items()
+    ],
+)
 
 
 def batch_of(count, rng, terminated=(), gamma=0.99):

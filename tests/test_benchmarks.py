@@ -133,7 +133,7 @@ def test_a_run_trained_again_is_compared_game_by_game_with_what_is_stored(
 def test_both_learners_are_timed_in_turns_from_the_same_memory(monkeypatch):
     monkeypatch.setattr(learners, "TURN", 8)
     monkeypatch.setattr(learners, "WARM_UP", 8)
-    row = learners.compare("boxing_final", "dqn", transitions=400, rounds=1)
+    row = learners.compare("boxing_final", "dqn", transitions=400, rounds=2)
     assert 400 <= row["transitions"] < 500
     assert row["low"] <= row["ratio"] <= row["high"]
     assert min(row["native_steps_per_second"], row["torch_steps_per_second"]) > 0

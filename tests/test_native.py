@@ -24,6 +24,8 @@ from atari_dqn.native import NativeLearner, Unavailable, new_learner
 from atari_dqn.params import ParameterError, Parameters
 from atari_dqn.replay import Batch
 
+pytestmark = pytest.mark.native
+
 
 def screens(rng, count, stack):
     """Observations like a game's: a still background, on which two boxes move."""

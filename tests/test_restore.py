@@ -33,7 +33,7 @@ def no_library(*_):
     raise native.Unavailable("there is none")
 
 
-@pytest.fixture(params=["native", "torch"])
+@pytest.fixture(params=[pytest.param("native", marks=pytest.mark.native), "torch"])
 def lost(request, tmp_path, monkeypatch):
     """A run that has lost its checkpoint, and that checkpoint's contents, with each learner."""
     if request.param == "torch":

@@ -434,6 +434,7 @@ def test_a_resume_that_may_give_other_bits_is_told(tmp_path, small, monkeypatch)
         recorder.train(Run(small(episodes=3), tmp_path))
 
 
+@pytest.mark.native
 def test_a_native_run_may_go_on_on_another_processor(tmp_path, small, monkeypatch):
     recorder.train(Run(small(episodes=1), tmp_path))
     monkeypatch.setattr(recorder, "processor", lambda: "another one")

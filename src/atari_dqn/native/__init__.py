@@ -1,4 +1,4 @@
-"""The learner in C++: the same update as `agents.Learner`, in about half the time on a CPU.
+"""The learner in C++: the same update as `agents.Learner`, in little more than half the time.
 
 `learner.cpp`, which says how, is compiled by the system's C++ compiler when it is first needed and
 kept in the user's cache. `python -m atari_dqn.native` does that beforehand, and says how it went.
@@ -190,7 +190,7 @@ def new_learner(
 
 def torch_instead(reason: Unavailable) -> str:
     """What a user is told who gets the PyTorch learner for that reason."""
-    return f"PyTorch learns, at about half the native learner's speed: {reason}"
+    return f"PyTorch learns, more slowly than the native learner would: {reason}"
 
 
 @cache
