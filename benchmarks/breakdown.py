@@ -20,6 +20,7 @@ from workload import BATCH, CAPACITY, EPSILON, LEARNING_STARTS, UPDATE_PERIOD, W
 
 from atari_dqn.params import Parameters
 from atari_dqn.runs.files import project_root
+from atari_dqn.runs.recorder import processor
 from atari_dqn.training import Trainer, prepare_process
 
 UPDATES = 400
@@ -82,6 +83,7 @@ def main() -> None:
         }
         for part, seconds in sorted(spent.items(), key=lambda item: -item[1])
     )
+    table["processor"] = processor()
     chosen.output.mkdir(parents=True, exist_ok=True)
     table.to_csv(chosen.output / "breakdown.csv", index=False)
     print(table.to_string(index=False))

@@ -124,7 +124,9 @@ def main() -> None:
             rows.append({**trained, **resumed, "resident_megabytes": peak})
             print(rows[-1], flush=True)
     chosen.output.mkdir(parents=True, exist_ok=True)
-    pd.DataFrame(rows).to_csv(chosen.output / "whole_run.csv", index=False)
+    pd.DataFrame(rows).assign(processor=recorder.processor()).to_csv(
+        chosen.output / "whole_run.csv", index=False
+    )
 
 
 if __name__ == "__main__":

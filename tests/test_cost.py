@@ -222,10 +222,11 @@ def test_a_whole_run_is_told_from_its_empty_memory_to_its_full_one(folder, shown
     first |= {"checkpoint_share_of_time": 0.001, "resident_megabytes": 700.0}
     last = {"transitions": 1_000_000, "steps_per_second": 180.0, "checkpoint_seconds": 6.0}
     last |= {"checkpoint_share_of_time": 0.012, "resident_megabytes": 1900.0}
-    more = {"checkpoint_megabytes": 500.0, "load_seconds": 4.0}
+    more = {"checkpoint_megabytes": 500.0, "load_seconds": 4.0, "processor": "Some Xeon"}
     pd.DataFrame([first | more, last | more]).to_csv(folder / "whole_run.csv", index=False)
     cost.show_whole_run()
     assert numbers(shown.texts[0]) == [200, 20_000, 180, 1_000_000, 6.0, 1.2, 1.9]
+    assert "alone on one core (Some Xeon)" in shown.texts[0]
     for row, stored, speed, seconds, share, memory in zip(
         shown.tables["tbl-whole-run"],
         ("20,000", "1,000,000"),
@@ -244,13 +245,14 @@ def test_a_whole_run_is_told_from_its_empty_memory_to_its_full_one(folder, shown
 
 def test_parts_of_an_update_are_shares_of_its_time(folder, shown):
     parts = {"part": ["update", "sampling"], "milliseconds_per_update": [15.0, 5.0]}
-    parts |= {"share": [0.75, 0.25], "share_of_peak": [0.5, np.nan]}
+    parts |= {"share": [0.75, 0.25], "share_of_peak": [0.5, np.nan], "processor": "Some Xeon"}
     pd.DataFrame(parts).to_csv(folder / "breakdown.csv", index=False)
     cost.show_breakdown()
     names = ["part", "milliseconds per update", "share"]
     names.append("share of peak, counted in textbook operations")
     found = [[row[name] for name in names] for row in shown.tables["tbl-breakdown"]]
     assert found == [["update", "15.00", "75%", "50%"], ["sampling", "5.00", "25%", "–"]]
+    assert "Processor: Some Xeon." in shown.captions["tbl-breakdown"]
 
 
 def test_the_share_of_an_experiment_is_of_all_its_runs_games(tmp_path):

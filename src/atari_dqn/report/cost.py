@@ -217,13 +217,14 @@ def show_breakdown() -> None:
     table["share"] = table.share.map("{:.0%}".format)
     table["share_of_peak"] = table.share_of_peak.map("{:.0%}".format).replace("nan%", "–")
     show_table(
-        table.rename(columns=lambda name: name.replace("_", " ")).rename(
-            columns={"share of peak": "share of peak, counted in textbook operations"}
-        ),
+        table.drop(columns="processor")
+        .rename(columns=lambda name: name.replace("_", " "))
+        .rename(columns={"share of peak": "share of peak, counted in textbook operations"}),
         label="tbl-breakdown",
         caption="Where the time of an update and its four agent steps goes: one process, one "
         "thread. How near the processor's highest speed the arithmetic comes is counted in the "
-        "operations of direct convolutions, of which the code needs fewer: hence more than 100%.",
+        "operations of direct convolutions, of which the code needs fewer, so that "
+        f"it may pass 100%. Processor: {table.processor[0]}.",
     )
 
 
@@ -237,7 +238,7 @@ def show_whole_run() -> None:
     measured = pd.read_csv(path)
     first, last = measured.iloc[0], measured.iloc[-1]
     show_text(
-        f"A training process of Double DQN in Boxing, alone on one core, makes "
+        f"A training process of Double DQN in Boxing, alone on one core ({first.processor}), makes "
         f"{first.steps_per_second:.0f} agent steps per second with {first.transitions:,.0f} stored "
         f"transitions and {last.steps_per_second:.0f} with {last.transitions:,.0f}. With these, "
         f"writing a checkpoint takes {last.checkpoint_seconds:.1f} seconds, "
