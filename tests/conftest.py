@@ -1,6 +1,8 @@
 """Shared by all tests: small parameters, and state kept out of the project's folders."""
 
 import os
+import shutil
+from pathlib import Path
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # results depend on it, and tests run in parallel
 
@@ -29,6 +31,17 @@ LONGEST = (
     *("test_benchmarks.py", "test_claims.py", "test_restore.py", "test_training.py"),
     *("test_video.py", "test_records.py", "test_agents.py", "test_faults.py", "test_wiring.py"),
 )
+
+
+MEMORY, ROOM = Path("/dev/shm"), 8 << 30  # bytes: twice what the tests have there at once
+
+
+def pytest_configure():
+    """Folders of tests lie in memory where there is room, and programs may be run from there: they
+    write gigabytes, much of it so that it is on the disk before they go on."""
+    runs = MEMORY.is_dir() and not os.statvfs(MEMORY).f_flag & os.ST_NOEXEC
+    if runs and shutil.disk_usage(MEMORY).free > ROOM:
+        os.environ.setdefault("PYTEST_DEBUG_TEMPROOT", str(MEMORY))
 
 
 def pytest_collection_modifyitems(config, items):
