@@ -33,7 +33,7 @@ LONGEST = (
 )
 
 
-MEMORY, ROOM = Path("/dev/shm"), 8 << 30  # bytes: twice what the tests have there at once
+MEMORY, ROOM = Path("/dev/shm"), 4 << 30  # bytes: twice what the tests have there at once
 
 
 def pytest_configure():
