@@ -39,7 +39,7 @@ COMPILERS = ("c++", "g++", "clang++")
 # No compiler may join or reorder float operations, so that all of them give the same bits
 EXACT = ("-ffp-contract=off", "-fno-fast-math")
 FLAGS = ("-std=c++20", "-O3", "-mavx2", "-mfma", *EXACT, "-shared", "-fPIC")
-WIDE = ("-mavx512f",)  # besides, where the processor has it: the same bits, with registers as wide
+WIDE = ("-mavx512f",)  # besides, where the processor has it: the same bits, in wider registers
 
 
 class Unavailable(RuntimeError):

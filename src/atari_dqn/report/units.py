@@ -1,5 +1,5 @@
-"""Units of the last hidden layer that are silent: zero in every state, so without a part in any
-value, and without a gradient by which they could learn (Sokar et al., 2023, call them dormant)."""
+"""Units of the last hidden layer that are silent: zero in every state of a game, so without a part
+in its values, and without a gradient in its states (Sokar et al., 2023, call them dormant)."""
 
 import numpy as np
 import pandas as pd
