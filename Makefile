@@ -67,9 +67,10 @@ status: $(READY) ## show every run of every experiment
 verify: $(READY) ## play games of every stored run again and compare them with its tables
 	$(RUN) atari_dqn verify --profile $(PROFILE) $(RESULTS_OPTION)
 
-# loadfile: what the tests of a file share is made once
+# One process more than two cores, since tests wait for processes and browsers; loadfile: what the
+# tests of a file share is made once
 test: $(READY) ## run the tests
-	$(RUN) pytest -n 2 --dist loadfile --no-loadscope-reorder
+	$(RUN) pytest -n 3 --dist loadfile --no-loadscope-reorder
 
 mutants: $(READY) ## put faults into the code and see tests fail (minutes)
 	$(VENV)/bin/python tests/mutants.py

@@ -99,9 +99,7 @@ def show_spreads(section: Section) -> pd.DataFrame:
         heading: dict[str, object] = {"agent": params.title(run.agent)}
         if len(section.params.seeds) > 1:
             heading["seed"] = run.seed
-        rows.append(heading | {"games": 0} | spreads(models.untrained(run), seen))
-        for games, path in models.stored(run).items():
-            network = models.load_model(path, run.params)
+        for games, network in models.along_training(run):
             rows.append(heading | {"games": games} | spreads(network, seen))
     show_table(
         pd.DataFrame(rows),

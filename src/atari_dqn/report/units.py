@@ -34,9 +34,7 @@ def show_silent(starts: dict[str, Section]) -> pd.DataFrame:
         heading = {"agent": params.title(run.agent), "start": start}
         if len(first.params.seeds) > 1:
             heading["seed"] = str(run.seed)
-        rows.append(heading | {"games": 0, "silent, %": silent(models.untrained(run), seen)})
-        for games, path in models.stored(run).items():
-            network = models.load_model(path, run.params)
+        for games, network in models.along_training(run):
             rows.append(heading | {"games": games, "silent, %": silent(network, seen)})
     show_table(
         pd.DataFrame(rows),

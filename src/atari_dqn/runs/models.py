@@ -1,5 +1,6 @@
 """A run's published models: the online network after so many games of training."""
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -59,6 +60,14 @@ def untrained(run: Run) -> nn.Module:
 def stored(run: Run) -> dict[int, Path]:
     """{games of training: file} of a run's stored models: snapshots, and the newest."""
     return in_folder(run.folder)
+
+
+def along_training(run: Run) -> Iterator[tuple[int, nn.Module]]:
+    """(games of training, network) of a run, from 0 games on. Raises RunError as `initial_weights`
+    does, and if a stored model cannot be read."""
+    yield 0, untrained(run)
+    for games, path in stored(run).items():
+        yield games, load_model(path, run.params)
 
 
 def in_folder(folder: Path) -> dict[int, Path]:
