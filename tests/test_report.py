@@ -7,8 +7,10 @@ import re
 import shutil
 import signal
 import subprocess
+import sys
 import time
 from ast import literal_eval
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from unittest.mock import Mock
 
@@ -170,6 +172,18 @@ def test_a_kernel_has_the_environment_and_the_folder_of_its_own_report(tmp_path,
         execution.execute(path, made, "smoke", tmp_path)
         (output,) = nbformat.read(made / path.name, as_version=4).cells[-1].outputs
         assert literal_eval(output.data["text/plain"]) == (given, str(tmp_path))
+
+
+@pytest.mark.skipif(not kernels.FORKED, reason="kernels are forked on Linux only")
+@pytest.mark.skipif(sys.version_info >= (3, 14), reason="each starts a server of its own")
+def test_what_executes_notebooks_and_their_kernels_are_forked_from_one_process(tmp_path):
+    path, made = one_cell(tmp_path, "import os\nos.getppid()")
+    environment = (dict(os.environ),)
+    with ProcessPoolExecutor(1, kernels.context(), kernels.begin, environment) as pool:
+        server = pool.submit(os.getppid).result()
+        pool.submit(execution.execute, path, made, "smoke", tmp_path).result()
+    (output,) = nbformat.read(made / path.name, as_version=4).cells[-1].outputs
+    assert int(output.data["text/plain"]) == server
 
 
 @pytest.mark.parametrize("failures", [1, 2])

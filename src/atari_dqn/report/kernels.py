@@ -6,6 +6,7 @@ To load it takes each of them seconds, and a report has twenty.
 import multiprocessing
 import os
 import sys
+from multiprocessing import forkserver
 from multiprocessing.context import BaseContext, ForkServerProcess
 from typing import Any
 
@@ -30,6 +31,10 @@ def begin(environment: dict[str, str]) -> None:
     os.environ.clear()
     os.environ.update(environment)
     end_with_parent()
+    if FORKED and sys.version_info < (3, 14):
+        # A forked process knows the server that it comes from, but would start another for its own
+        # children (CPython's issue 86354), which takes seconds
+        forkserver._forkserver.ensure_running = lambda: None  # type: ignore[method-assign]
 
 
 class _Forking(AsyncKernelManager):
