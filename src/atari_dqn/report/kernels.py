@@ -33,7 +33,7 @@ def begin(environment: dict[str, str]) -> None:
     end_with_parent()
     if forkserver.get_inherited_fds() is not None and sys.version_info < (3, 14):
         # A forked process knows the server that it comes from, but would start another for its own
-        # children (CPython's issue 86354), which takes seconds
+        # children, which takes seconds (CPython gh-86354)
         forkserver._forkserver.ensure_running = lambda: None  # type: ignore[method-assign]
 
 
